@@ -1,0 +1,96 @@
+# Every target sets up what it needs: a virtual environment in .venv and the compiled parts in build/.
+# Needs a C compiler, make and Python 3.11 or newer with venv and headers
+# (Debian, Ubuntu: gcc make python3-venv python3-dev).
+.DEFAULT_GOAL := help
+.DELETE_ON_ERROR:
+SHELL := /bin/bash
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+OUT ?= out
+SCENARIO ?=
+
+# What a change in compiled code or in its generators must rebuild.
+NATIVE := CMakeLists.txt pyproject.toml \
+  $(shell find dbc firmware plant_fmu bridge -name '*.c' -o -name '*.h' -o -name '*.def' -o -name CMakeLists.txt \
+    -o -name '*.dbc' -o -path 'firmware/schema/*.yaml' -o -name 'generate.py' -o -name 'cffi_binding.py' \
+    -o -name 'build_binding.py' -o -path 'plant_fmu/*.py')
+
+.PHONY: help
+help: ## Show this list
+	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
+
+$(BIN)/python:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo 'raceloop needs Python 3.11 or newer; set PYTHON=python3.x'; exit 2; }
+	@$(PYTHON) -c 'import ensurepip, sysconfig, os; assert os.path.exists(os.path.join(sysconfig.get_path("include"), "Python.h"))' 2>/dev/null \
+	  || { echo 'raceloop needs the venv module and the headers of Python: apt install python3-venv python3-dev'; exit 2; }
+	$(PYTHON) -m venv $(VENV)
+
+$(VENV)/.dependencies: pyproject.toml | $(BIN)/python
+	$(BIN)/python -c 'import tomllib; p = tomllib.load(open("pyproject.toml", "rb")); print(*p["build-system"]["requires"], "cmake", "ninja", *p["project"]["dependencies"], *p["project"]["optional-dependencies"]["dev"], sep="\n")' > $(VENV)/requirements.txt
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -r $(VENV)/requirements.txt
+	@touch $@
+
+$(VENV)/.built: $(NATIVE) | $(VENV)/.dependencies
+	PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-build-isolation --no-deps --editable . \
+	  --config-settings=cmake.define.RACELOOP_WERROR=ON
+	@touch $@
+
+.PHONY: build
+build: $(VENV)/.dependencies $(VENV)/.built ## Compile codec, firmware, FMUs and bindings into .venv
+
+.PHONY: run
+run: build ## Drive the scenario (SCENARIO=FILE, default the solo lap) and write the recordings to OUT=out
+	$(BIN)/raceloop run $(SCENARIO) --out $(OUT)
+
+.PHONY: test
+test: build ## Run all tests
+	$(BIN)/python -m pytest
+
+.PHONY: bench
+bench: build ## Measure this loop side by side with the plain loop a user would write
+	$(BIN)/raceloop bench
+
+.PHONY: check
+check: lint types warnings coverage ## Format, lint, types, warnings as errors with each compiler present, coverage gate
+
+.PHONY: format
+format: build ## Format all sources in place
+	$(BIN)/ruff format .
+	$(BIN)/ruff check --fix --exit-zero --quiet .
+	git ls-files '*.c' '*.h' | xargs $(BIN)/clang-format -i
+
+.PHONY: lint
+lint: build ## Check format and lint
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	git ls-files '*.c' '*.h' | xargs $(BIN)/clang-format --dry-run -Werror
+
+.PHONY: types
+types: build ## Check types
+	$(BIN)/mypy
+
+.PHONY: warnings
+warnings: build ## Compile everything with warnings as errors, with gcc, clang and arm-none-eabi-gcc where present
+	PATH="$(CURDIR)/$(BIN):$$PATH" tools/compile_all.sh
+
+# A second environment holds the instrumented build; it borrows every dependency from the first.
+.venv-coverage/.built: $(NATIVE) $(VENV)/.dependencies
+	$(PYTHON) -m venv .venv-coverage
+	$(BIN)/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))' > "$$(.venv-coverage/bin/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))')/dependencies.pth"
+	PATH="$(CURDIR)/$(BIN):$$PATH" .venv-coverage/bin/python -m pip install --quiet --disable-pip-version-check --no-build-isolation --no-deps --editable . \
+	  --config-settings=cmake.define.RACELOOP_COVERAGE=ON --config-settings=cmake.build-type=Debug --config-settings=build-dir=build/coverage
+	@touch $@
+
+.PHONY: coverage
+coverage: .venv-coverage/.built ## Line and branch coverage of the SSM, the parameter check and the codec runtime (gate: 100 %)
+	find build/coverage -name '*.gcda' -delete
+	.venv-coverage/bin/python -m pytest -q hil_tests/unit hil_tests/contract
+	$(BIN)/gcovr --root . --object-directory build/coverage --exclude-throw-branches \
+	  --filter 'firmware/obc/ssm\.c' --filter 'firmware/obc/parameters\.c' --filter 'firmware/common/codec\.c' \
+	  --txt-metric branch --print-summary --fail-under-line 100 --fail-under-branch 100 build/coverage
+
+.PHONY: clean
+clean: ## Remove everything that was built
+	rm -rf build .venv .venv-coverage out

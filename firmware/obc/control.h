@@ -1,0 +1,78 @@
+/* Lateral and longitudinal control of the car: the pure step behind every drive-by-wire command.
+ *
+ * All lateral controllers run in parallel every cycle; the SSM picks whose command leaves, so that a backup is
+ * always warm. Nothing here reads a frame or a clock.
+ */
+#ifndef RACELOOP_OBC_CONTROL_H
+#define RACELOOP_OBC_CONTROL_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+#include "obc/trajectory.h"
+
+/* Lateral controllers; the numbers are those of ssm_status.ssm_controller. */
+enum control_lateral {
+    CONTROL_NONE = 0,
+    CONTROL_LQR = 1,
+    CONTROL_STANLEY = 2,
+    CONTROL_PURE_PURSUIT = 3,
+    CONTROL_EMERGENCY = 4,
+    CONTROL_LATERAL_COUNT = 5,
+};
+
+/* State of the car as estimation reports it. ISO 8855 axes, track frame. */
+typedef struct control_estimate {
+    float x;        /* m */
+    float y;        /* m */
+    float yaw;      /* rad, (-pi, pi] */
+    float vx;       /* m/s */
+    float vy;       /* m/s */
+    float yaw_rate; /* rad/s */
+    float ax;       /* m/s2 */
+    float ay;       /* m/s2 */
+    bool valid;     /* fresh and finite */
+} control_estimate;
+
+/* What the Raptor reports that control needs. */
+typedef struct control_feedback {
+    float wheel_speed;        /* m/s, mean of the undriven wheels */
+    float engine_speed;       /* rad/s */
+    float road_wheel_angle;   /* rad, from the averaged motor angle */
+    float brake_pressure;     /* Pa, front */
+    uint8_t gear;             /* 0..6 */
+    uint8_t gear_shift_status; /* 1 ready, 3 upshift, 4 downshift */
+    bool engine_running;
+} control_feedback;
+
+/* Everything that one control step reads. */
+typedef struct control_input {
+    const trajectory *plan;   /* newest complete plan, or null */
+    control_estimate estimate;
+    control_feedback feedback;
+    float max_speed;          /* m/s, in force now */
+    float max_acceleration;   /* m/s2 */
+    float max_deceleration;   /* m/s2, positive */
+    uint8_t lateral;          /* enum control_lateral: whose command leaves */
+    bool drive_enabled;       /* false: throttle 0, integrators held at rest, holding brake */
+    bool safe_stop;           /* stop along the planned path at max_deceleration */
+} control_input;
+
+/* Commands, and the errors behind them. */
+typedef struct control_output {
+    float road_wheel_angle[CONTROL_LATERAL_COUNT]; /* rad, every controller's own wish */
+    float road_wheel_command; /* rad, the chosen one, limited */
+    float throttle;           /* 0..1 */
+    float brake_pressure;     /* Pa */
+    uint8_t gear;             /* 0..6 */
+    float cross_track_error;  /* m, positive: left of the path */
+    float heading_error;      /* rad */
+    float speed_error;        /* m/s, reference minus actual */
+    bool lateral_valid;       /* a path and an estimate were there */
+} control_output;
+
+/* TODO(control owner): struct control (integrators, filters, gear state), control_init.
+ * void control_init(control *self);
+ * void control_step(control *self, const control_input *input, control_output *output);   called at 100 Hz */
+
+#endif

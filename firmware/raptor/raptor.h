@@ -1,0 +1,70 @@
+/* Raptor vehicle controller: sys_state machine, supervision of the onboard computer's commands, reports on
+ * CAN1, gateway to the Space Drive on CAN3.
+ */
+#ifndef RACELOOP_RAPTOR_H
+#define RACELOOP_RAPTOR_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+#include "common/can_frame.h"
+#include "common/codec.h"
+#include "common/executive.h"
+
+/* Race control as the car's radio delivers it. */
+typedef struct raptor_race_control {
+    bool linked;               /* a telegram arrived within the radio's own time-out */
+    uint8_t heartbeat;         /* 0..15, moves with every telegram (10 Hz) */
+    uint8_t track_flag;        /* MyLaps code, 0..15 */
+    uint8_t vehicle_flag;      /* MyLaps code, 0..15 */
+    uint8_t rank;              /* 0..15 */
+    uint8_t round_target_speed; /* mph */
+    uint8_t lap_count;
+    uint16_t lap_distance;     /* m */
+    float lap_time;            /* s, last lap */
+    uint8_t marelli_track_flag;
+    uint8_t marelli_vehicle_flag;
+    uint8_t marelli_sector_flag;
+} raptor_race_control;
+
+/* Signals wired to the Raptor. SI units; order of wheels FL, FR, RL, RR. */
+typedef struct raptor_wired_in {
+    float wheel_speed[4];       /* rad/s */
+    float wheel_load[4];        /* N, strain gauges */
+    float suspension_travel[4]; /* m, potentiometers */
+    float engine_speed;         /* rad/s */
+    float throttle_position;    /* 0..1 */
+    float wheel_torque;         /* Nm, driven wheels together */
+    float brake_pressure_front; /* Pa */
+    float brake_pressure_rear;  /* Pa */
+    float fuel_pressure;        /* Pa */
+    float oil_pressure;         /* Pa */
+    float transmission_pressure; /* Pa */
+    float coolant_temperature;  /* degC */
+    float oil_temperature;      /* degC */
+    float transmission_temperature; /* degC */
+    float tyre_temperature[4];  /* degC */
+    float battery_voltage;      /* V */
+    uint8_t gear;               /* 0..6 */
+    uint8_t gear_shift_status;  /* 0 uninitialised, 1 ready, 2 locked out, 3 upshift, 4 downshift */
+    bool engine_running;
+    uint8_t safety_switch;      /* position 0..7; 3 enables the actuation test, 4 the engine */
+    bool mode_switch;           /* true: autonomous */
+    raptor_race_control race_control;
+} raptor_wired_in;
+
+/* Signals that the Raptor drives. */
+typedef struct raptor_wired_out {
+    float throttle_demand; /* 0..1 */
+    uint8_t gear_demand;   /* 0..6 */
+    bool ignition;
+    bool starter;
+} raptor_wired_out;
+
+/* TODO(raptor owner): state struct `raptor`, configuration, and the door below. */
+
+/* void raptor_init(raptor *self, const raptor_config *config);   null config: defaults
+ * void raptor_tick(raptor *self, uint64_t now_us, const raptor_wired_in *wired,
+ *                  const can_frame *in, uint32_t in_count, raptor_wired_out *drive, can_outbox *out); */
+
+#endif
