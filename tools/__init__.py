@@ -1,0 +1,1 @@
+"""The `raceloop` command and what it prints."""
