@@ -26,20 +26,24 @@ typedef enum codec_status {
     CODEC_STATUS_COUNT = 9,
 } codec_status;
 
-/* What the DBC files say of one message. Rows are sorted by bus, then id. */
+/* What the DBC files say of one message. */
 typedef struct codec_message {
     uint32_t id;
     uint8_t bus;            /* enum can_bus */
     uint8_t extended;       /* 1: 29-bit id */
     uint8_t dlc;            /* data bytes */
-    uint8_t counter_start;  /* first bit of the message counter, little-endian bit numbering */
-    uint8_t counter_length; /* bits; 0: no counter */
-    uint8_t crc_start;      /* first bit of the 16-bit CRC; only meaningful when crc_length is 16 */
-    uint8_t crc_length;     /* bits; 0: no CRC */
+    uint8_t counter_start;  /* first bit of the message counter, little-endian bit numbering; it may span bytes */
+    uint8_t counter_length; /* bits, at most 8; 0: no counter */
+    uint8_t crc_start;      /* first bit of the little-endian CRC; at a byte boundary */
+    uint8_t crc_length;     /* bits, 16; 0: no CRC */
     uint8_t sender;         /* enum can_station of the owner */
     uint16_t cycle_ms;      /* nominal period; 0: on event */
     uint16_t timeout_ms;    /* age after which the content is stale; 0: never */
 } codec_message;
+
+/* All messages, sorted by bus, then 11-bit before 29-bit ids, then id. generated/codec_table.h names the rows. */
+extern const codec_message codec_table[];
+extern const uint32_t codec_table_count;
 
 /* Reception state of one message: zero it to start. */
 typedef struct codec_rx {
