@@ -45,7 +45,7 @@ def preprocess(
     compiler: str = "cc",
     depfile: tuple[Path, str] | None = None,
 ) -> str:
-    """Declarations and numeric macros of the headers, as cffi's ``cdef`` takes them.
+    """Extract declarations and numeric macros of the headers, as cffi's ``cdef`` takes them.
 
     Parameters
     ----------
@@ -86,7 +86,9 @@ def _run(command: Sequence[str], headers: Sequence[str]) -> str:
         raise ConfigurationError(command[0], "", f"cannot run the C compiler: {error.strerror}") from error
     except subprocess.CalledProcessError as error:
         complaints = [line for line in error.stderr.splitlines() if "error" in line] or error.stderr.splitlines()
-        raise ConfigurationError(", ".join(headers), "", complaints[0] if complaints else "cannot preprocess") from error
+        raise ConfigurationError(
+            ", ".join(headers), "", complaints[0] if complaints else "cannot preprocess"
+        ) from error
 
 
 def _drop_temporary(depfile: Path, folder: str) -> None:
@@ -96,7 +98,7 @@ def _drop_temporary(depfile: Path, folder: str) -> None:
 
 
 def _constants(macros: dict[str, str]) -> list[str]:
-    """Declarations of the macros whose value is a number, possibly through other macros."""
+    """Declare the macros whose value is a number, possibly through other macros."""
     lines = []
     for name in macros:
         body = _expand(macros, name, frozenset())

@@ -103,7 +103,7 @@ def _table_row(facts: MessageFacts) -> str:
     return f"    [CODEC_{_c_name(facts).upper()}] = {{{assignments}}},"
 
 
-def values_sources(network: Sequence[MessageFacts], banner: str) -> dict[str, str]:
+def values_sources(directory: Path, network: Sequence[MessageFacts], banner: str) -> dict[str, str]:
     """codec_values_table for the host."""
     header = f"""\
 {banner}#ifndef RACELOOP_CODEC_VALUES_TABLE_H
@@ -114,9 +114,13 @@ def values_sources(network: Sequence[MessageFacts], banner: str) -> dict[str, st
 /* In step with codec_table. */
 extern const codec_values_message codec_values_table[];
 
+/* SHA-256 of the DBC files behind it, in the order of dbc/network.py. */
+extern const char *const codec_values_sha256[{len(DATABASES)}];
+
 #endif
 """
     includes = "\n".join(f'#include "generated/{stem}.h"' for stem in DATABASES)
+    hashes = "\n".join(f'    "{_sha256(directory / f"{stem}.dbc")}",' for stem in DATABASES)
     functions = "\n".join(_values_functions(facts) for facts in network)
     rows = "\n".join(
         f'    {{"{facts.database}", "{facts.message.name}", {len(facts.message.signals)}, {_c_name(facts)}_signals, '
@@ -133,6 +137,10 @@ extern const codec_values_message codec_values_table[];
 {functions}
 const codec_values_message codec_values_table[] = {{
 {rows}
+}};
+
+const char *const codec_values_sha256[{len(DATABASES)}] = {{
+{hashes}
 }};
 """
     return {"codec_values_table.h": header, "codec_values_table.c": source}
@@ -188,7 +196,7 @@ def generate_all(directory: Path = DIRECTORY) -> dict[str, str]:
     files: dict[str, str] = {}
     for stem in DATABASES:
         files |= cantools_sources(directory, stem)
-    return files | table_sources(network, banner) | values_sources(network, banner)
+    return files | table_sources(network, banner) | values_sources(directory, network, banner)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

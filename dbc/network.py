@@ -15,6 +15,7 @@ from typing import Any
 
 import cantools.database
 from cantools.database.can import Database, Message, Signal
+from cantools.database.errors import Error
 
 from dbc.errors import ConfigurationError
 
@@ -114,12 +115,15 @@ def load_database(path: Path) -> Database:
     """
     try:
         # cp1252 is what Vector's tools write; cantools' own default.
-        return cantools.database.load_file(path, database_format="dbc", encoding="cp1252", strict=True)
+        database = cantools.database.load_file(path, database_format="dbc", encoding="cp1252", strict=True)
     except OSError as error:
         raise ConfigurationError(path, "", error.strerror or "cannot be read") from error
-    except (cantools.database.Error, UnicodeDecodeError, ValueError, KeyError) as error:
+    except (Error, UnicodeDecodeError, ValueError, KeyError) as error:
         reason = " ".join(str(error).split()) or type(error).__name__
         raise ConfigurationError(path, "", f"not a valid DBC file: {reason}") from error
+    if not isinstance(database, Database):
+        raise ConfigurationError(path, "", "not a DBC file")
+    return database
 
 
 def load_network(directory: Path = DIRECTORY) -> list[MessageFacts]:
@@ -159,7 +163,9 @@ def _message_facts(path: Path, stem: str, bus: Bus, message: Message) -> Message
         sender=STATIONS[senders[0]],
         cycle_ms=_attribute(attributes, "GenMsgCycleTime", 0),
         timeout_ms=_attribute(attributes, "GenMsgTimeout", 0),
-        counter=_check_signal(path, message, _attribute(attributes, "CounterSignal", ""), range(1, _COUNTER_BITS_MAX + 1)),
+        counter=_check_signal(
+            path, message, _attribute(attributes, "CounterSignal", ""), range(1, _COUNTER_BITS_MAX + 1)
+        ),
         crc=_check_signal(path, message, _attribute(attributes, "CrcSignal", ""), range(_CRC_BITS, _CRC_BITS + 1)),
     )
 
@@ -183,6 +189,6 @@ def _check_signal(path: Path, message: Message, name: str, lengths: range) -> Si
         raise ConfigurationError(
             path,
             f"{message.name}.{name}",
-            f"a counter or CRC must be little-endian, unsigned, unscaled, {lengths.start} to {lengths.stop - 1} bits long",
+            f"must be little-endian, unsigned, unscaled, {lengths.start} to {lengths.stop - 1} bits, a CRC at a byte",
         )
     return signal
