@@ -9,6 +9,10 @@
 #include <stdbool.h>
 #include <stdint.h>
 
+#include "obc/gear_shift.h"
+#include "obc/lateral_lqr.h"
+#include "obc/longitudinal.h"
+#include "obc/motion_predictor.h"
 #include "obc/trajectory.h"
 
 /* Lateral controllers; the numbers are those of ssm_status.ssm_controller. */
@@ -36,43 +40,58 @@ typedef struct control_estimate {
 
 /* What the Raptor reports that control needs. */
 typedef struct control_feedback {
-    float wheel_speed;        /* m/s, mean of the undriven wheels */
-    float engine_speed;       /* rad/s */
-    float road_wheel_angle;   /* rad, from the averaged motor angle */
-    float brake_pressure;     /* Pa, front */
-    uint8_t gear;             /* 0..6 */
+    float wheel_speed;         /* m/s, mean of the undriven wheels */
+    float engine_speed;        /* rad/s */
+    float road_wheel_angle;    /* rad, from the averaged motor angle */
+    float brake_pressure;      /* Pa, front */
+    uint8_t gear;              /* 0..6 */
     uint8_t gear_shift_status; /* 1 ready, 3 upshift, 4 downshift */
     bool engine_running;
 } control_feedback;
 
 /* Everything that one control step reads. */
 typedef struct control_input {
-    const trajectory *plan;   /* newest complete plan, or null */
+    const trajectory *plan; /* newest complete plan, or null */
     control_estimate estimate;
     control_feedback feedback;
-    float max_speed;          /* m/s, in force now */
-    float max_acceleration;   /* m/s2 */
-    float max_deceleration;   /* m/s2, positive */
-    uint8_t lateral;          /* enum control_lateral: whose command leaves */
-    bool drive_enabled;       /* false: throttle 0, integrators held at rest, holding brake */
-    bool safe_stop;           /* stop along the planned path at max_deceleration */
+    float max_speed;        /* m/s, in force now */
+    float max_acceleration; /* m/s2 */
+    float max_deceleration; /* m/s2, positive */
+    uint8_t lateral;        /* enum control_lateral: whose command leaves */
+    bool drive_enabled;     /* false: throttle 0, integrators held at rest, holding brake */
+    bool safe_stop;         /* stop along the planned path at max_deceleration */
 } control_input;
 
 /* Commands, and the errors behind them. */
 typedef struct control_output {
     float road_wheel_angle[CONTROL_LATERAL_COUNT]; /* rad, every controller's own wish */
-    float road_wheel_command; /* rad, the chosen one, limited */
-    float throttle;           /* 0..1 */
-    float brake_pressure;     /* Pa */
-    uint8_t gear;             /* 0..6 */
-    float cross_track_error;  /* m, positive: left of the path */
-    float heading_error;      /* rad */
-    float speed_error;        /* m/s, reference minus actual */
-    bool lateral_valid;       /* a path and an estimate were there */
+    float road_wheel_command;                      /* rad, the chosen one, limited */
+    float throttle;                                /* 0..1 */
+    float brake_pressure;                          /* Pa */
+    uint8_t gear;                                  /* 0..6 */
+    float cross_track_error;                       /* m, positive: left of the path */
+    float heading_error;                           /* rad */
+    float speed_error;                             /* m/s, reference minus actual */
+    bool lateral_valid;                            /* a path and an estimate were there */
 } control_output;
 
-/* TODO(control owner): struct control (integrators, filters, gear state), control_init.
- * void control_init(control *self);
- * void control_step(control *self, const control_input *input, control_output *output);   called at 100 Hz */
+/* State of control. Zero it, or control_init. */
+typedef struct control {
+    motion_predictor predictor;
+    lateral_lqr lqr;
+    longitudinal speed;
+    gear_shift gear;
+    float road_wheel_command; /* rad, last command */
+    float rounding;           /* rad, part of earlier commands that the wire's step has withheld */
+} control;
+
+/* Straight wheels, neutral, standing. */
+void control_init(control *self);
+
+/* One period of control, called at 100 Hz. Without a plan or an estimate the wheels keep their angle and the car is
+ * braked at max_deceleration; below walking pace the wheels keep their angle too. The road wheel command is rounded to
+ * the step of steering_cmd, and what rounding withholds is carried over, so that its mean is exact.
+ * input, output: not null. Every field of output is written, finite and inside its range whatever the input holds. */
+void control_step(control *self, const control_input *input, control_output *output);
 
 #endif
