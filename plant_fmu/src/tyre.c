@@ -30,13 +30,17 @@ double tyre_cornering_stiffness(const struct plant_vars *p, double load)
     return p->tyre_nominal_load * p->tyre_pky1 * 2.0 * q / (1.0 + q * q);
 }
 
-/* Shape of the Magic Formula over the stiffness-normalised slip s >= 0, divided by s. */
-static double shape_over_slip(double s, double c, double e)
+/* Shape of the Magic Formula over the stiffness-normalised slip s >= 0, divided by s. Past its peak
+ * it does not fall below `slide`: the fitted coefficients are for slips near the peak, and without
+ * the floor a spinning wheel would lose nearly all its force. */
+static double shape_over_slip(double s, double c, double e, double slide)
 {
     if (s < 1e-6) {
         return c;
     }
-    return sin(c * atan(s - e * (s - atan(s)))) / s;
+    const double angle = c * atan(s - e * (s - atan(s)));
+    const double shape = sin(angle);
+    return (angle > 0.5 * PLANT_PI ? fmax(shape, slide) : shape) / s;
 }
 
 struct tyre_force tyre_step(struct tyre_state *state, const struct plant_vars *p,
@@ -82,8 +86,8 @@ struct tyre_force tyre_step(struct tyre_state *state, const struct plant_vars *p
     state->deflection_y = uy;
 
     const double s = sqrt(sx * sx + sy * sy);
-    force.x = peak_x * sx * shape_over_slip(s, p->tyre_pcx1, p->tyre_pex1);
-    force.y = peak_y * sy * shape_over_slip(s, p->tyre_pcy1, p->tyre_pey1);
+    force.x = peak_x * sx * shape_over_slip(s, p->tyre_pcx1, p->tyre_pex1, p->tyre_sliding_share);
+    force.y = peak_y * sy * shape_over_slip(s, p->tyre_pcy1, p->tyre_pey1, p->tyre_sliding_share);
     force.slip_x = ux / p->tyre_relaxation_x;
     force.slip_y = uy / p->tyre_relaxation_y;
     return force;
