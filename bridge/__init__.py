@@ -1,0 +1,1 @@
+"""The bench: ECUs, buses, plant, sensor models and scenarios in one lock-step loop, with its recorder."""

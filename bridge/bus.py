@@ -1,0 +1,163 @@
+"""In-process CAN buses: the car's network of stations, with bus timing, load statistics and a frame log.
+
+The model is C (``bridge/native/network.h``); this is its one Python face. Frames cross it as buffers of 24-byte
+records (:mod:`dbc.frames`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bridge._native import ffi, lib
+from dbc.frames import FRAME_DTYPE, FRAME_SIZE, Bus, Station
+
+if TYPE_CHECKING:
+    from typing_extensions import Buffer
+
+#: Bit rate of each bus in bit/s, as the DBC files state it (a contract test compares).
+BIT_RATES: Mapping[Bus, int] = MappingProxyType(
+    {Bus.CAN1: 500_000, Bus.CAN3: 500_000, Bus.CAN_A: 1_000_000, Bus.CAN_S: 500_000}
+)
+
+#: Names of the buses as channels of log files and taps.
+CHANNELS: Mapping[Bus, str] = MappingProxyType(
+    {Bus.CAN1: "CAN1", Bus.CAN3: "CAN3", Bus.CAN_A: "CANA", Bus.CAN_S: "CANS"}
+)
+
+
+@dataclass(frozen=True)
+class BusStatistics:
+    """What one bus carried since the start.
+
+    Attributes
+    ----------
+    frames, lost, deferred : frames transmitted; refused because the queue was full; waits for the next tick.
+    load, load_peak : share of the time that the bus was busy, on average and in the busiest tick, 0..1.
+    bits, stuff_bits : bits on the wire, intermission included, and how many of them are stuff bits.
+    """
+
+    frames: int
+    lost: int
+    deferred: int
+    load: float
+    load_peak: float
+    bits: int
+    stuff_bits: int
+
+
+class Network:
+    """The four buses and the stations that sit on them.
+
+    Parameters
+    ----------
+    bit_rates : bit/s per bus.
+    """
+
+    def __init__(self, bit_rates: Mapping[Bus, int] = BIT_RATES) -> None:
+        self.handle: Any = ffi.new("network *")
+        lib.network_init(self.handle, [bit_rates[bus] for bus in Bus])
+        self._start_us = 0
+        self._tick_us = 0
+        self._elapsed_us = 0
+
+    def begin_tick(self, start_us: int, end_us: int) -> None:
+        """Start the tick [start_us, end_us); what is transmitted from now on is stamped inside it."""
+        lib.network_begin_slot(self.handle, start_us, end_us)
+        self._tick_us = end_us - start_us
+        self._elapsed_us += self._tick_us
+
+    def end_tick(self) -> None:
+        """End the tick: what is still pending waits for the next one."""
+        lib.network_end_slot(self.handle)
+
+    def submit(self, station: Station, frames: Buffer) -> None:
+        """Queue frames of a station on the buses that they name.
+
+        Parameters
+        ----------
+        frames : whole 24-byte frames, one after the other.
+
+        Raises
+        ------
+        ValueError
+            When the buffer does not hold whole frames.
+        """
+        view = ffi.from_buffer("can_frame[]", frames)
+        if ffi.sizeof(view) != memoryview(frames).nbytes:
+            raise ValueError(f"{memoryview(frames).nbytes} bytes are not whole frames of {FRAME_SIZE}")
+        lib.network_submit(self.handle, station, view, len(view))
+
+    def transmit(self, *buses: Bus) -> None:
+        """Send what is pending on these buses into the inboxes of their stations, by arbitration."""
+        for bus in buses:
+            lib.network_transmit(self.handle, bus)
+
+    def take(self, station: Station) -> bytes:
+        """Frames that a station has received since it last took them, in the order of their arrival."""
+        inbox = self.handle.inboxes[station]
+        frames = bytes(ffi.buffer(inbox.frames, inbox.count * FRAME_SIZE))
+        inbox.count = 0
+        return frames
+
+    def logged(self) -> int:
+        """Frames in the log."""
+        return int(self.handle.log_count)
+
+    def log_view(self, first: int = 0) -> NDArray[np.void]:
+        """Frames of the log from place `first` on, per bus in order of time; valid until the log is drained."""
+        count = self.handle.log_count
+        log: NDArray[np.void] = np.frombuffer(ffi.buffer(self.handle.log, count * FRAME_SIZE), dtype=FRAME_DTYPE)
+        return log[first:]
+
+    def drain_log(self) -> NDArray[np.void]:
+        """Take all frames out of the log, in order of time over all buses.
+
+        To be called between ticks, often enough for `log_half_full` to stay false.
+        """
+        log = self.log_view()
+        ordered: NDArray[np.void] = log[np.argsort(log["time_us"], kind="stable")]
+        self.handle.log_count = 0
+        return ordered
+
+    @property
+    def log_half_full(self) -> bool:
+        """True when the log should be drained: what is left holds more than one tick of full buses."""
+        return bool(self.handle.log_count > lib.NETWORK_LOG_MAX // 2)
+
+    def watch(self, bus: Bus, identifier: int) -> Any:
+        """Keep the newest frame of an 11-bit identifier; returns the C struct `network_watch`."""
+        place = lib.network_add_watch(self.handle, bus, identifier)
+        if place == lib.NETWORK_WATCH_MAX:
+            raise ValueError(f"only {lib.NETWORK_WATCH_MAX} identifiers can be watched")
+        return self.handle.watches[place]
+
+    def losses(self) -> int:
+        """Frames lost for want of room anywhere: queues, inboxes, log, or a bus that does not exist."""
+        handle = self.handle
+        queues = sum(handle.buses[bus].statistics.lost for bus in Bus)
+        inboxes = sum(handle.inboxes[station].lost for station in Station)
+        return int(queues + inboxes + handle.log_lost + handle.misaddressed)
+
+    def statistics(self) -> dict[Bus, BusStatistics]:
+        """Counts of every bus."""
+        elapsed_ns = max(self._elapsed_us * 1000, 1)
+        tick_ns = max(self._tick_us * 1000, 1)
+        result = {}
+        for bus in Bus:
+            counts = self.handle.buses[bus].statistics
+            result[bus] = BusStatistics(
+                frames=counts.frames,
+                lost=counts.lost,
+                deferred=counts.deferred,
+                load=counts.busy_ns / elapsed_ns,
+                load_peak=counts.busiest_slot_ns / tick_ns,
+                bits=counts.bits,
+                stuff_bits=counts.stuff_bits,
+            )
+        return result

@@ -1,0 +1,72 @@
+"""What the bench needs from outside itself, as protocols: it imports neither autonomy nor a track."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Protocol
+
+if TYPE_CHECKING:
+    from typing_extensions import Buffer
+
+
+class Origin(Protocol):
+    """Where the track frame lies on the Earth: WGS 84, degrees and m above the ellipsoid."""
+
+    @property
+    def latitude_deg(self) -> float:
+        """Geodetic latitude, degrees."""
+        ...
+
+    @property
+    def longitude_deg(self) -> float:
+        """Longitude, degrees."""
+        ...
+
+    @property
+    def height(self) -> float:
+        """Height above the ellipsoid, m."""
+        ...
+
+
+class Road(Protocol):
+    """The road under the car. Frenet: s along the centre line, d to its left, m; angles in rad."""
+
+    @property
+    def length(self) -> float:
+        """Length of a lap, m; s = 0 is the start and finish line."""
+        ...
+
+    @property
+    def origin(self) -> Origin | None:
+        """Origin of the east-north-up track frame, or None when the track has no place on the Earth."""
+        ...
+
+    def project(self, x: float, y: float) -> tuple[float, float]:
+        """Station in [0, length) and lateral offset of a point."""
+        ...
+
+    def road_at_station(self, station: float) -> tuple[float, float]:
+        """Bank (positive: left side low) and grade (positive: uphill)."""
+        ...
+
+    def pose_at(self, station: float, lateral: float) -> tuple[float, float, float]:
+        """x, y and heading of a car that stands parallel to the centre line at (s, d)."""
+        ...
+
+
+class Autonomy(Protocol):
+    """The perception, planning and estimation partition: CAN frames in, CAN-A frames out, once per tick."""
+
+    def tick(self, now_us: int, frames: Buffer) -> bytes:
+        """Run one minor frame.
+
+        Parameters
+        ----------
+        now_us : start of the tick, simulated microseconds.
+        frames : what its station received since the last tick, 24 bytes each.
+
+        Returns
+        -------
+        bytes
+            Frames to send on CAN-A.
+        """
+        ...

@@ -1,0 +1,104 @@
+#include "network.h"
+
+#include <string.h>
+
+#define STATION(name) (1U << CAN_STATION_##name)
+
+static const uint8_t MEMBERS[CAN_BUS_COUNT] = {
+    [CAN_BUS_1] = STATION(OBC) | STATION(RAPTOR),
+    [CAN_BUS_3] = STATION(RAPTOR) | STATION(SPACE_DRIVE),
+    [CAN_BUS_A] = STATION(AUTONOMY) | STATION(OPERATOR) | STATION(OBC),
+    [CAN_BUS_S] = STATION(SENSORS) | STATION(AUTONOMY) | STATION(OBC),
+};
+
+void network_init(network *self, const uint32_t bit_rates[4])
+{
+    memset(self, 0, sizeof *self);
+    memcpy(self->members, MEMBERS, sizeof MEMBERS);
+    for (uint32_t bus = 0; bus < CAN_BUS_COUNT; bus++) {
+        can_bus_init(&self->buses[bus], bit_rates[bus]);
+    }
+}
+
+void network_begin_slot(network *self, uint64_t start_us, uint64_t end_us)
+{
+    self->slot_start_us = start_us;
+    self->slot_end_us = end_us;
+}
+
+void network_end_slot(network *self)
+{
+    for (uint32_t bus = 0; bus < CAN_BUS_COUNT; bus++) {
+        can_bus_end_slot(&self->buses[bus]);
+    }
+}
+
+void network_submit(network *self, uint8_t station, const can_frame *frames, uint32_t count)
+{
+    for (uint32_t i = 0; i < count; i++) {
+        can_frame frame = frames[i];
+        frame.sender = station;
+        if (frame.bus < CAN_BUS_COUNT) {
+            (void)can_bus_submit(&self->buses[frame.bus], &frame); /* the bus counts what it refuses */
+        } else {
+            self->misaddressed++;
+        }
+    }
+}
+
+static void deliver(network *self, const can_frame *frame)
+{
+    for (uint32_t station = 0; station < CAN_STATION_COUNT; station++) {
+        if ((self->members[frame->bus] >> station & 1U) == 0 || station == frame->sender) {
+            continue;
+        }
+        network_inbox *inbox = &self->inboxes[station];
+        if (inbox->count < NETWORK_INBOX_MAX) {
+            inbox->frames[inbox->count++] = *frame;
+        } else {
+            inbox->lost++;
+        }
+    }
+    for (uint32_t i = 0; i < self->watch_count; i++) {
+        network_watch *watch = &self->watches[i];
+        if (watch->frame.id == frame->id && watch->frame.bus == frame->bus && frame->flags == 0) {
+            watch->frame = *frame;
+            watch->updates++;
+        }
+    }
+    if (self->log_count < NETWORK_LOG_MAX) {
+        self->log[self->log_count++] = *frame;
+    } else {
+        self->log_lost++;
+    }
+}
+
+void network_transmit(network *self, uint8_t bus)
+{
+    if (bus >= CAN_BUS_COUNT) {
+        return;
+    }
+    const uint32_t count = can_bus_transmit(&self->buses[bus], self->slot_start_us, self->slot_end_us, self->scratch,
+                                            CAN_BUS_PENDING_MAX);
+    for (uint32_t i = 0; i < count; i++) {
+        deliver(self, &self->scratch[i]);
+    }
+}
+
+void network_clear_inbox(network *self, uint8_t station)
+{
+    if (station < CAN_STATION_COUNT) {
+        self->inboxes[station].count = 0;
+    }
+}
+
+uint32_t network_add_watch(network *self, uint8_t bus, uint32_t id)
+{
+    if (self->watch_count == NETWORK_WATCH_MAX) {
+        return NETWORK_WATCH_MAX;
+    }
+    network_watch *watch = &self->watches[self->watch_count];
+    watch->frame.bus = bus;
+    watch->frame.id = id;
+    return self->watch_count++;
+}

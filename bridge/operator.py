@@ -1,0 +1,83 @@
+"""The operator's station on CAN-A: hands the configuration over, asks for launch, reads the verdict."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+from dbc.codec import database
+from dbc.frames import FRAME_SIZE, iterate
+
+#: launch_request repeats every 100 ms while it is wanted.
+LAUNCH_PERIOD_US = 100_000
+
+#: Parameter frames per tick: a burst of all would hold up CAN-A for several ticks.
+WRITES_PER_TICK = 16
+
+
+class Verdict(IntEnum):
+    """parameter_summary.summary_verdict."""
+
+    PENDING = 0
+    ACCEPTED = 1
+    REJECTED = 2
+
+
+@dataclass(frozen=True)
+class ParameterResult:
+    """One parameter_result frame: the firmware's verdict on one parameter."""
+
+    key: int
+    status: int
+    value: int
+
+
+class OperatorStation:
+    """Sends a configuration once, then asks for launch until told otherwise.
+
+    Parameters
+    ----------
+    parameter_frames : parameter_write frames, closed by parameter_commit; 24 bytes each.
+
+    Attributes
+    ----------
+    launch_wanted : content of launch_request.
+    verdict : of the onboard computer on the whole configuration.
+    offences : parameters that it did not accept.
+    """
+
+    def __init__(self, parameter_frames: bytes) -> None:
+        self._pending = parameter_frames
+        self._launch = database.message("launch_request")
+        self._result = database.message("parameter_result")
+        self._summary = database.message("parameter_summary")
+        self._counter = 0
+        self.launch_wanted = True
+        self.verdict = Verdict.PENDING
+        self.offences: list[ParameterResult] = []
+
+    @property
+    def listening(self) -> bool:
+        """True until the verdict is in: only then does `tick` look at what was received."""
+        return self.verdict is Verdict.PENDING
+
+    def tick(self, now_us: int, frames: bytes) -> bytes:
+        """Frames to send in this tick, given those received since the last one."""
+        if self.listening:
+            self._listen(frames)
+        if self._pending:
+            sent, self._pending = self._pending[: WRITES_PER_TICK * FRAME_SIZE], self._pending[WRITES_PER_TICK * FRAME_SIZE :]
+            return sent
+        if now_us % LAUNCH_PERIOD_US == 0:
+            self._counter = (self._counter + 1) & 0xFF
+            return self._launch.frame(float(self.launch_wanted), 0, self._counter)
+        return b""
+
+    def _listen(self, frames: bytes) -> None:
+        for frame in iterate(frames):
+            if frame.id == self._result.frame_id:
+                result = ParameterResult(*(int(value) for value in self._result.decode(frame.data)))
+                if result.status != 0:
+                    self.offences.append(result)
+            elif frame.id == self._summary.frame_id:
+                self.verdict = Verdict(int(self._summary.decode(frame.data)[3]))

@@ -1,0 +1,298 @@
+"""The plant: a co-simulation FMU, FMI 2 or 3, stepped through fmpy's bindings with arrays allocated once.
+
+Any FMU will do that has the inputs and outputs named by the enums in ``bridge/native/wiring.h``, whatever their
+numeric types are.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import shutil
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import fmpy
+import numpy as np
+from fmpy import fmi2, fmi3
+from fmpy.fmi1 import FMICallException
+from fmpy.logging import addLoggerProxy
+from fmpy.model_description import ModelVariable
+from numpy.typing import NDArray
+
+from bridge._native import lib
+from dbc.errors import PlantError
+
+
+def _names(prefix: str) -> tuple[str, ...]:
+    """Plant variables named by the enumerators of wiring.h, in their order."""
+    found = {name: getattr(lib, name) for name in dir(lib) if name.startswith(prefix) and not name.endswith("_COUNT")}
+    return tuple(name.removeprefix(prefix).lower() for name in sorted(found, key=lambda name: int(found[name])))
+
+
+#: Outputs that the bench needs; they come first in `Plant.outputs`, in the order of ``enum plant_output``.
+REQUIRED_OUTPUTS = _names("PLANT_OUT_")
+#: Inputs that the bench drives, in the order of ``enum plant_input``.
+REQUIRED_INPUTS = _names("PLANT_IN_")
+
+#: FMI types that carry one number, with their C types.
+_NUMBERS: Mapping[str, Any] = {
+    "Real": ctypes.c_double,
+    "Integer": ctypes.c_int,
+    "Float64": ctypes.c_double,
+    "Float32": ctypes.c_float,
+    "Int8": ctypes.c_int8,
+    "UInt8": ctypes.c_uint8,
+    "Int16": ctypes.c_int16,
+    "UInt16": ctypes.c_uint16,
+    "Int32": ctypes.c_int32,
+    "UInt32": ctypes.c_uint32,
+    "Int64": ctypes.c_int64,
+    "UInt64": ctypes.c_uint64,
+    "Boolean": None,  # int in FMI 2, bool in FMI 3
+}
+
+
+class _Group:
+    """Variables of one FMI type that are set or got in one call, and their places in the array of all."""
+
+    def __init__(self, fmu: Any, call: str, fmi_type: str, variables: Sequence[ModelVariable], places: list[int]) -> None:
+        is_fmi2 = isinstance(fmu, fmi2.FMU2Slave)
+        number = _NUMBERS[fmi_type] or (ctypes.c_int if is_fmi2 else ctypes.c_bool)
+        self._function: Callable[..., int] = getattr(fmu, f"fmi{2 if is_fmi2 else 3}{call}{fmi_type}")
+        references = (ctypes.c_uint * len(variables))(*(variable.valueReference for variable in variables))
+        buffer = (number * len(variables))()
+        count = len(variables)
+        self._arguments = (fmu.component, references, count, buffer, *(() if is_fmi2 else (count,)))
+        self._values: NDArray[Any] = np.ctypeslib.as_array(buffer)
+        contiguous = places == list(range(places[0], places[0] + len(places)))
+        self._places: Any = slice(places[0], places[0] + len(places)) if contiguous else np.array(places)
+
+    def set_from(self, values: NDArray[np.float64]) -> None:
+        self._values[:] = values[self._places]
+        self._function(*self._arguments)
+
+    def get_into(self, values: NDArray[np.float64]) -> None:
+        self._function(*self._arguments)
+        values[self._places] = self._values
+
+
+class Plant:
+    """One instance of an FMU, initialised and ready to step.
+
+    Parameters
+    ----------
+    path : the ``.fmu`` file.
+    start : start values by variable name, SI units.
+    required_outputs, required_inputs : variables that the FMU must have.
+
+    Attributes
+    ----------
+    inputs : shape (len(required_inputs),); write before `step`.
+    outputs : shape (len(output_names),); valid after construction and after each `step`.
+    output_names, output_units : the required outputs first, then all other numeric outputs of the FMU.
+
+    Raises
+    ------
+    PlantError
+        When the file is missing or no co-simulation FMU, lacks a variable, or refuses its start values.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        start: Mapping[str, float],
+        required_outputs: Sequence[str] = REQUIRED_OUTPUTS,
+        required_inputs: Sequence[str] = REQUIRED_INPUTS,
+    ) -> None:
+        self._path = path
+        self._folder: str | None = None
+        self._messages: deque[str] = deque(maxlen=1)
+        description = _read_description(path)
+        self._fmi3 = description.fmiVersion.startswith("3")
+        variables = {variable.name: variable for variable in description.modelVariables}
+        inputs = [self._variable(variables, name, "input") for name in required_inputs]
+        outputs = [self._variable(variables, name, "output") for name in required_outputs]
+        outputs += [
+            variable
+            for variable in description.modelVariables
+            if variable.causality == "output" and _is_number(variable) and variable.name not in required_outputs
+        ]
+        starts = [(self._variable(variables, name, "parameter"), value) for name, value in start.items()]
+        self.output_names = tuple(variable.name for variable in outputs)
+        self.output_units = tuple(variable.unit or "" for variable in outputs)
+        self.inputs: NDArray[np.float64] = np.array([_start_value(variable) for variable in inputs])
+        self.outputs: NDArray[np.float64] = np.zeros(len(outputs))
+        try:
+            self._fmu = self._load(description)
+            self._do_step = self._make_step()
+            for group in self._groups("Set", [variable for variable, _ in starts]):
+                group.set_from(np.array([value for _, value in starts]))
+            self._initialise()
+            self._setters = self._groups("Set", inputs)
+            self._getters = self._groups("Get", outputs)
+            for group in self._getters:
+                group.get_into(self.outputs)
+        except FMICallException as error:
+            self._discard()
+            raise self._failed("cannot be initialised", error) from error
+        except PlantError:
+            self._discard()
+            raise
+        except Exception as error:  # fmpy raises bare Exception for a library that does not load
+            self._discard()
+            raise PlantError(f"{path}: cannot be loaded: {_one_line(error)}") from error
+
+    def __enter__(self) -> Plant:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def step(self, time_s: float, step_s: float) -> None:
+        """Set the inputs, advance from `time_s` by `step_s`, get the outputs.
+
+        Raises
+        ------
+        PlantError
+            When the FMU reports an error, with its last message.
+        """
+        try:
+            for group in self._setters:
+                group.set_from(self.inputs)
+            self._do_step(time_s, step_s)
+            for group in self._getters:
+                group.get_into(self.outputs)
+        except FMICallException as error:
+            raise self._failed(f"failed at {time_s:.2f} s", error) from error
+
+    def close(self) -> None:
+        """End the instance and remove its unpacked files; safe to call twice."""
+        if self._folder is not None:
+            with suppress(FMICallException):
+                self._fmu.terminate()
+            self._discard()
+
+    def _variable(self, variables: Mapping[str, ModelVariable], name: str, causality: str) -> ModelVariable:
+        variable = variables.get(name)
+        if variable is None:
+            raise PlantError(f"{self._path}: has no variable {name!r}, which is needed as {causality}")
+        # A start value may be set on any variable; inputs and outputs must be what they are called.
+        if not _is_number(variable) or causality not in ("parameter", variable.causality):
+            raise PlantError(
+                f"{self._path}: variable {name!r} is a {variable.type} {variable.causality}; "
+                f"needed is one number as {causality}"
+            )
+        return variable
+
+    def _load(self, description: Any) -> Any:
+        co_simulation = description.coSimulation
+        self._folder = fmpy.extract(str(self._path))
+        options = {
+            "guid": description.instantiationToken if self._fmi3 else description.guid,
+            "modelIdentifier": co_simulation.modelIdentifier,
+            "unzipDirectory": self._folder,
+            "instanceName": "plant",
+        }
+        if self._fmi3:
+            fmu = fmi3.FMU3Slave(**options)
+            fmu.instantiate(logMessage=self._log_fmi3, loggingOn=True)
+        else:
+            fmu = fmi2.FMU2Slave(**options)
+            callbacks = fmi2.fmi2CallbackFunctions()
+            callbacks.logger = fmi2.fmi2CallbackLoggerTYPE(self._log_fmi2)
+            callbacks.allocateMemory = fmi2.fmi2CallbackAllocateMemoryTYPE(fmi2.calloc)
+            callbacks.freeMemory = fmi2.fmi2CallbackFreeMemoryTYPE(fmi2.free)
+            addLoggerProxy(ctypes.byref(callbacks))  # expands printf formats before the callback sees them
+            fmu.instantiate(callbacks=callbacks, loggingOn=True)
+        return fmu
+
+    def _initialise(self) -> None:
+        if not self._fmi3:
+            self._fmu.setupExperiment(startTime=0.0)
+            self._fmu.enterInitializationMode()
+        else:
+            self._fmu.enterInitializationMode(startTime=0.0)
+        self._fmu.exitInitializationMode()
+
+    def _make_step(self) -> Callable[[float, float], None]:
+        component = self._fmu.component
+        if not self._fmi3:
+            step2 = self._fmu.fmi2DoStep
+
+            def do_step_fmi2(time_s: float, step_s: float) -> None:
+                step2(component, time_s, step_s, 1)
+
+            return do_step_fmi2
+        step3 = self._fmu.fmi3DoStep
+        event, terminate, early = ctypes.c_bool(), ctypes.c_bool(), ctypes.c_bool()
+        last = ctypes.c_double()
+        results = tuple(ctypes.byref(value) for value in (event, terminate, early, last))
+
+        def do_step_fmi3(time_s: float, step_s: float) -> None:
+            step3(component, time_s, step_s, True, *results)
+            if terminate.value:
+                raise PlantError(f"{self._path}: the FMU ended the simulation at {last.value:.2f} s")
+
+        return do_step_fmi3
+
+    def _groups(self, call: str, variables: Sequence[ModelVariable]) -> list[_Group]:
+        groups: dict[str, list[int]] = {}
+        for place, variable in enumerate(variables):
+            groups.setdefault(variable.type, []).append(place)
+        return [
+            _Group(self._fmu, call, fmi_type, [variables[place] for place in places], places)
+            for fmi_type, places in groups.items()
+        ]
+
+    def _log_fmi2(self, _environment: Any, _name: bytes, _status: int, _category: bytes, message: bytes) -> None:
+        self._messages.append(message.decode("utf-8", "replace"))
+
+    def _log_fmi3(self, _environment: Any, _status: int, _category: bytes, message: bytes) -> None:
+        self._messages.append(message.decode("utf-8", "replace"))
+
+    def _failed(self, what: str, error: FMICallException) -> PlantError:
+        reason = self._messages[-1] if self._messages else f"{error.function} returned status {error.status}"
+        return PlantError(f"{self._path}: {what}: {_one_line(reason)}")
+
+    def _discard(self) -> None:
+        fmu = getattr(self, "_fmu", None)
+        if fmu is not None and fmu.component:
+            fmu.freeInstance()
+            fmu.component = None
+        if self._folder is not None:
+            shutil.rmtree(self._folder, ignore_errors=True)
+            self._folder = None
+
+
+def _read_description(path: Path) -> Any:
+    if not path.is_file():
+        raise PlantError(f"{path}: no such FMU file")
+    try:
+        description = fmpy.read_model_description(str(path), validate=False)
+    except Exception as error:  # a broken archive or XML ends in many types; the user needs the file and a reason
+        raise PlantError(f"{path}: not an FMU: {_one_line(error)}") from error
+    if not description.fmiVersion.startswith(("2.", "3.")):
+        raise PlantError(f"{path}: FMI {description.fmiVersion}; allowed are FMI 2 and 3")
+    if description.coSimulation is None:
+        raise PlantError(f"{path}: no co-simulation FMU; only co-simulation can be stepped")
+    return description
+
+
+def _is_number(variable: ModelVariable) -> bool:
+    return variable.type in _NUMBERS and not variable.dimensions
+
+
+def _start_value(variable: ModelVariable) -> float:
+    if variable.type == "Boolean":
+        return 1.0 if variable.start in {"true", "1"} else 0.0
+    return float(variable.start or 0.0)
+
+
+def _one_line(reason: object) -> str:
+    return " ".join(str(reason).split()) or type(reason).__name__

@@ -1,0 +1,127 @@
+"""Records a run: frames and truth go to a writer process (:mod:`bridge.log_writer`) on another core."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bridge.log_writer import (
+    BLF,
+    CANDUMP,
+    END_RECORD,
+    FRAMES_RECORD,
+    RECORD,
+    SIGNALS,
+    TRUTH,
+    TRUTH_RECORD,
+)
+from dbc.errors import RaceloopError
+
+_ROWS = 512
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A finished recording.
+
+    Attributes
+    ----------
+    candump, blf : raw frames of all buses.
+    signals : folder with one Parquet file per message.
+    truth : Parquet file of the plant's outputs every tick.
+    frame_log_sha256 : SHA-256 of the candump file.
+    """
+
+    candump: Path
+    blf: Path
+    signals: Path
+    truth: Path
+    frame_log_sha256: str
+
+
+class Recorder:
+    """Streams a run to its files; they appear when `finish` returns, or never.
+
+    Parameters
+    ----------
+    folder : of the recording; created when missing.
+    names, units : of the plant's outputs.
+
+    Raises
+    ------
+    RaceloopError
+        From any method, when the files cannot be written.
+    """
+
+    def __init__(self, folder: Path, names: Sequence[str], units: Sequence[str]) -> None:
+        self._folder = folder
+        self._rows: NDArray[np.float64] = np.empty((_ROWS, len(names) + 1))
+        self._row_count = 0
+        options = json.dumps({"folder": str(folder.absolute()), "names": list(names), "units": list(units)})
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "bridge.log_writer", options],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            env=os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+        )
+
+    def add_frames(self, frames: NDArray[np.void]) -> None:
+        """Append frames in order of time; array of `FRAME_DTYPE`."""
+        self._send(FRAMES_RECORD, frames.tobytes())
+
+    def add_truth(self, time_us: int, outputs: NDArray[np.float64]) -> None:
+        """Append the plant's outputs at one time."""
+        row = self._rows[self._row_count]
+        row[0] = time_us
+        row[1:] = outputs
+        self._row_count += 1
+        if self._row_count == _ROWS:
+            self._flush_truth()
+
+    def finish(self) -> Recording:
+        """Wait for the writer and return the recording."""
+        self._flush_truth()
+        self._send(END_RECORD, b"")
+        output, complaint = self._process.communicate()
+        if self._process.returncode != 0:
+            raise self._failed(complaint)
+        digest = json.loads(output)["frame_log_sha256"]
+        folder = self._folder
+        return Recording(folder / CANDUMP, folder / BLF, folder / SIGNALS, folder / TRUTH, digest)
+
+    def abort(self) -> None:
+        """End without a recording: what was written is removed. Safe at any time."""
+        if self._process.returncode is None:
+            with suppress(BrokenPipeError):  # the writer may have died of its own
+                self._process.communicate()
+
+    def _flush_truth(self) -> None:
+        self._send(TRUTH_RECORD, self._rows[: self._row_count].tobytes())
+        self._row_count = 0
+
+    def _send(self, kind: bytes, payload: bytes) -> None:
+        stream = self._process.stdin
+        assert stream is not None
+        try:
+            stream.write(RECORD.pack(kind, len(payload)))
+            stream.write(payload)
+            stream.flush()
+        except BrokenPipeError:
+            with suppress(BrokenPipeError):
+                stream.close()
+            self._process.stdin = None
+            raise self._failed(self._process.communicate()[1]) from None
+
+    def _failed(self, complaint: bytes) -> RaceloopError:
+        lines = complaint.decode("utf-8", "replace").strip().splitlines()
+        return RaceloopError(lines[-1] if lines else f"{self._folder}: the recording's writer ended unexpectedly")

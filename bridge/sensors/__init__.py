@@ -1,0 +1,1 @@
+"""Sensor models: the truth of the plant in, CAN-S frames with realistic errors out."""
