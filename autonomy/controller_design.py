@@ -32,6 +32,8 @@ PERIOD = 0.01  # s, of control
 DEAD_TICKS = 5  # CONTROLLER_DEAD_TICKS: the actuator's dead time and one period on the buses
 SPEEDS = 31
 SPEED_STEP = 2.5  # m/s
+PREVIEW_STEPS = 16
+PREVIEW_TICKS = 3  # control periods per preview step
 LOWEST_SPEED = 2.5  # m/s, below it the gains stay
 ENGINE_SPEEDS = 32
 ENGINE_SPEED_STEP = 250.0 * math.pi / 30.0  # rad/s
@@ -157,8 +159,16 @@ def plant_model(
     return _discretise(a, b, PERIOD)
 
 
-def lateral_gains(parameters: Mapping[str, float], speed: float, weights: Weights | None = None) -> Matrix:
-    """LQR gains (7,) at a speed (m/s, above 0)."""
+def lateral_gains(
+    parameters: Mapping[str, float], speed: float, weights: Weights | None = None
+) -> tuple[Matrix, Matrix]:
+    """LQR at a speed (m/s, above 0): gains (7,) of the states and gains (PREVIEW_STEPS, 3) of the path ahead.
+
+    When the path's curvature or bank changes, so does the steady state that the errors are taken from; to the error
+    model that is a disturbance, known in advance. The optimal answer to a disturbance d at i periods from now is
+    ``-(R + B'PB)^-1 B' (A - BK)'^i P d``. It is kept for the steady state's sideslip, yaw rate and steering angle,
+    averaged over the periods of each preview step.
+    """
     w = weights or Weights()
     car = _Car(VEHICLE_FILE, parameters)
     a, b = plant_model(parameters, speed)
@@ -169,14 +179,25 @@ def lateral_gains(parameters: Mapping[str, float], speed: float, weights: Weight
     q[6, 6] = w.integral**-2
     r = np.array([[effort**-2]])
     p = solve_discrete_are(a, b, q, r)
-    gains: Matrix = np.linalg.solve(r + b.T @ p @ b, b.T @ p @ a)[0]
-    return gains
+    factor = np.linalg.solve(r + b.T @ p @ b, b.T)
+    gain = factor @ p @ a
+    closed = (a - b @ gain).T
+    answer = np.empty((PREVIEW_STEPS * PREVIEW_TICKS, 7))
+    state = p
+    for row in answer:
+        row[:] = (factor @ state)[0]
+        state = closed @ state
+    answer = answer.reshape(PREVIEW_STEPS, PREVIEW_TICKS, 7).mean(axis=1)
+    # Errors are state minus steady state (e_psi + sideslip), so a change of the reference enters with its sign.
+    preview = np.stack([-answer[:, 2], answer[:, 3], answer[:, 4]], axis=1)
+    return gain[0], preview
 
 
-def gain_table(parameters: Mapping[str, float], weights: Weights | None = None) -> Matrix:
-    """Gains (SPEEDS, 7) at multiples of SPEED_STEP."""
+def gain_table(parameters: Mapping[str, float], weights: Weights | None = None) -> tuple[Matrix, Matrix]:
+    """Gains (SPEEDS, 7) and preview gains (SPEEDS, PREVIEW_STEPS, 3) at multiples of SPEED_STEP."""
     speeds = np.maximum(np.arange(SPEEDS) * SPEED_STEP, LOWEST_SPEED)
-    return np.array([lateral_gains(parameters, float(v), weights) for v in speeds])
+    rows = [lateral_gains(parameters, float(v), weights) for v in speeds]
+    return np.array([gain for gain, _ in rows]), np.array([preview for _, preview in rows])
 
 
 def engine_map(parameters: Mapping[str, float]) -> Matrix:
@@ -208,6 +229,7 @@ def tables(parameters: Mapping[str, float], file: Path = VEHICLE_FILE) -> dict[s
     """
     car = _Car(file, parameters)
     half_density = 0.5 * car["air_density"]
+    gains, preview = gain_table(parameters)
     transition, steer_input = _discretise(*actuator_model(parameters), PERIOD)
     ratios = np.array([0.0] + [car[f"gear_ratio_{g}"] * car["final_drive_ratio"] for g in range(1, GEARS + 1)])
     front, rear = car["tyre_radius_front"], car["tyre_radius_rear"]
@@ -230,6 +252,10 @@ def tables(parameters: Mapping[str, float], file: Path = VEHICLE_FILE) -> dict[s
         "stiffness_peak_front": car.stiffness_peak("front"),
         "stiffness_peak_rear": car.stiffness_peak("rear"),
         "stiffness_peak_load": 2.0 * car["tyre_pky2"] * car["tyre_nominal_load"],
+        "slip_stiffness": car["tyre_pkx1"],
+        "track_rear": car["track_width_rear"],
+        "differential_preload": car["differential_preload"],
+        "differential_ratio": car["differential_lock_ratio"],
         "steer_transition": transition,
         "steer_input": steer_input[:, 0],
         "steer_max": car["steer_motor_limit"] / car["steer_ratio"],
@@ -237,7 +263,8 @@ def tables(parameters: Mapping[str, float], file: Path = VEHICLE_FILE) -> dict[s
         "steer_step": STEER_STEP / car["steer_ratio"],
         "steer_lag": 2.0 * car["steer_damping"] / (2.0 * math.pi * car["steer_bandwidth"]),
         "lqr_speed_step": SPEED_STEP,
-        "lqr_gain": gain_table(parameters),
+        "lqr_gain": gains,
+        "lqr_preview": preview,
         "gear_ratio": ratios,
         "effective_mass": car["mass"] + wheels + car["engine_inertia"] * (ratios / rear) ** 2,
         "driveline_efficiency": car["driveline_efficiency"],
@@ -260,7 +287,7 @@ def _initialiser(value: float | Matrix, indent: str) -> str:
         return _literal(value)
     if value.ndim == 1:
         return "{" + ", ".join(_literal(float(v)) for v in value) + "}"
-    rows = "".join(f"{indent}    {_initialiser(row, indent)},\n" for row in value)
+    rows = "".join(f"{indent}    {_initialiser(row, indent + '    ')},\n" for row in value)
     return "{\n" + rows + indent + "}"
 
 

@@ -11,6 +11,9 @@
 enum {
     CONTROLLER_SPEEDS = 31,        /* rows of the gain table */
     CONTROLLER_STATES = 7,         /* e_y, de_y/dt, e_psi, de_psi/dt, steering angle, its rate, integral of e_y */
+    CONTROLLER_PREVIEW_STEPS = 16, /* path ahead that the gains look at */
+    CONTROLLER_PREVIEW_TICKS = 3,  /* control periods per step */
+    CONTROLLER_PREVIEW_SIGNALS = 3,
     CONTROLLER_DEAD_TICKS = 5,     /* control periods between a steering command and its first effect */
     CONTROLLER_ENGINE_SPEEDS = 32, /* rows of the engine map */
     CONTROLLER_THROTTLES = 11,     /* columns of the engine map: 0, 0.1 .. 1 */
@@ -33,6 +36,12 @@ typedef struct controller_tables {
     float stiffness_peak_front; /* N/rad */
     float stiffness_peak_rear;  /* N/rad */
     float stiffness_peak_load;  /* N, of an axle */
+    float slip_stiffness;       /* longitudinal, of a wheel over its load */
+
+    /* Limited-slip differential */
+    float track_rear;           /* m */
+    float differential_preload; /* N m */
+    float differential_ratio;   /* locking torque over axle torque */
 
     /* Steering, at the road wheel. One period of the actuator: next (angle, rate) = transition * (angle, rate)
      * + input * command. */
@@ -47,6 +56,10 @@ typedef struct controller_tables {
      * i * lqr_speed_step; the first row is at least the lowest speed of the design. */
     float lqr_speed_step; /* m/s */
     float lqr_gain[CONTROLLER_SPEEDS][CONTROLLER_STATES];
+
+    /* Answer to the path ahead: rad per change of steady-state sideslip (rad), yaw rate (rad/s) and steering angle
+     * (rad) over each step of the preview. */
+    float lqr_preview[CONTROLLER_SPEEDS][CONTROLLER_PREVIEW_STEPS][CONTROLLER_PREVIEW_SIGNALS];
 
     /* Driveline */
     float gear_ratio[CONTROLLER_GEARS];     /* engine over wheel speed; 0 in neutral */

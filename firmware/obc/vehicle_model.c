@@ -14,6 +14,16 @@ static float axle_stiffness(float peak, float load)
     return peak * 2.0f * q / (1.0f + q * q);
 }
 
+/* Yaw moment (N m) of the driven axle, against the turn: the limited-slip differential holds the wheels together, so
+ * that the outer one slips back and the inner one forward, up to the differential's locking torque. */
+static float differential_moment(float curvature, float load_rear, float drive_force)
+{
+    const controller_tables *car = &controller_table;
+    const float locked = 0.25f * car->slip_stiffness * load_rear * car->track_rear * fabsf(curvature);
+    const float locking = car->differential_preload / car->driven_radius + car->differential_ratio * drive_force;
+    return -copysignf(fminf(locked, locking) * car->track_rear, curvature);
+}
+
 void vehicle_steady_cornering(float speed, float curvature, float bank, vehicle_cornering *out)
 {
     const controller_tables *car = &controller_table;
@@ -32,12 +42,16 @@ void vehicle_steady_cornering(float speed, float curvature, float bank, vehicle_
     out->load = load_front + out->load_rear;
     out->stiffness_front = axle_stiffness(car->stiffness_peak_front, load_front);
     out->stiffness_rear = axle_stiffness(car->stiffness_peak_rear, out->load_rear);
-    out->slip_front = lateral * front_share / out->stiffness_front;
-    out->slip_rear = lateral * rear_share / out->stiffness_rear;
+    const float held = car->drag_factor * speed_square + car->rolling_resistance * out->load;
+    const float turning = differential_moment(curvature, out->load_rear, held) / wheelbase;
+    const float force_front = lateral * front_share - turning;
+    const float force_rear = lateral * rear_share + turning;
+    out->slip_front = force_front / out->stiffness_front;
+    out->slip_rear = force_rear / out->stiffness_rear;
     out->yaw_rate = speed * curvature * cos_bank;
     out->sideslip = car->cg_to_rear * curvature - out->slip_rear;
     out->steer = wheelbase * curvature + out->slip_front - out->slip_rear;
-    out->drag = lateral * (front_share * out->slip_front + rear_share * out->slip_rear);
+    out->drag = force_front * out->slip_front + force_rear * out->slip_rear;
 }
 
 void vehicle_motion_step(vehicle_motion *motion, const vehicle_cornering *tyres, float speed, float bank, float steer,
