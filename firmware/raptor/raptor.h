@@ -10,6 +10,16 @@
 #include "common/can_frame.h"
 #include "common/codec.h"
 #include "common/executive.h"
+#include "raptor/actuation_test.h"
+#include "raptor/command_monitor.h"
+#include "raptor/config.h"
+#include "raptor/demand.h"
+#include "raptor/diagnostic.h"
+#include "raptor/gateway.h"
+#include "raptor/states.h"
+#include "raptor/sys_state.h"
+
+enum { RAPTOR_REPORTS = 35 }; /* messages that the Raptor sends on CAN1 */
 
 /* Race control as the car's radio delivers it. */
 typedef struct raptor_race_control {
@@ -31,7 +41,7 @@ typedef struct raptor_race_control {
 typedef struct raptor_wired_in {
     float wheel_speed[4];       /* rad/s */
     float wheel_load[4];        /* N, strain gauges */
-    float suspension_travel[4]; /* m, potentiometers */
+    float suspension_travel[4]; /* m, potentiometers; 0 at full droop, positive when compressed */
     float engine_speed;         /* rad/s */
     float throttle_position;    /* 0..1 */
     float wheel_torque;         /* Nm, driven wheels together */
@@ -44,6 +54,7 @@ typedef struct raptor_wired_in {
     float oil_temperature;      /* degC */
     float transmission_temperature; /* degC */
     float tyre_temperature[4];  /* degC */
+    float tyre_pressure[4];     /* Pa, absolute; 0: no sensor, its frame stays away */
     float battery_voltage;      /* V */
     uint8_t gear;               /* 0..6 */
     uint8_t gear_shift_status;  /* 0 uninitialised, 1 ready, 2 locked out, 3 upshift, 4 downshift */
@@ -61,10 +72,34 @@ typedef struct raptor_wired_out {
     bool starter;
 } raptor_wired_out;
 
-/* TODO(raptor owner): state struct `raptor`, configuration, and the door below. */
+/* State of one Raptor. raptor_init to start; a zeroed one is in sys_state NONE and asks for full brake. */
+typedef struct raptor {
+    raptor_config config;
+    executive schedule;
+    raptor_command_monitor commands;
+    raptor_gateway gateway;
+    raptor_diagnostic diagnostic;
+    raptor_sys_machine sys;
+    raptor_test test;
+    raptor_demand demand;
+    float speed;       /* m/s, from the undriven wheels */
+    float wheel_speed[4]; /* m/s at the tread */
+    uint8_t report_counters[RAPTOR_REPORTS]; /* message counters of the reports, by row of their table */
+} raptor;
 
-/* void raptor_init(raptor *self, const raptor_config *config);   null config: defaults
- * void raptor_tick(raptor *self, uint64_t now_us, const raptor_wired_in *wired,
- *                  const can_frame *in, uint32_t in_count, raptor_wired_out *drive, can_outbox *out); */
+/* Put `self` into its power-on state. config: null for the defaults; copied. */
+void raptor_init(raptor *self, const raptor_config *config);
+
+/* Run one minor frame of 10 ms.
+ *
+ * now_us: monotonic. wired: sampled signals; NaN and infinities count as out of range. in: in_count frames received
+ * since the last tick, any bus and id; what is not for the Raptor is ignored. drive: all fields are written. out:
+ * reports for CAN1 and requests for CAN3 are appended.
+ */
+void raptor_tick(raptor *self, uint64_t now_us, const raptor_wired_in *wired, const can_frame *in, uint32_t in_count,
+                 raptor_wired_out *drive, can_outbox *out);
+
+/* The static schedule, for checks: returns the table, `count` receives the number of its tasks. */
+const executive_task *raptor_schedule(uint32_t *count);
 
 #endif

@@ -49,7 +49,7 @@ static void judge_sensors(space_drive_axis *self, const space_drive_axis_config 
         usable[i] = channel->sensor_valid && !channel->excluded;
     }
 
-    const space_drive_ballot ballot = space_drive_vote(positions, usable, config->deviation);
+    const voter_ballot ballot = voter_vote(positions, usable, config->deviation);
     if (ballot.valid) {
         self->position = ballot.value;
     }
@@ -99,7 +99,7 @@ static void vote_demand(space_drive_axis *self, const space_drive_axis_config *c
         }
         demands[i] = channel->demand;
     }
-    const space_drive_ballot ballot = space_drive_vote(demands, usable, config->deviation);
+    const voter_ballot ballot = voter_vote(demands, usable, config->deviation);
     if (ballot.valid) {
         self->demand = ballot.value;
         self->demand_valid = true;

@@ -12,8 +12,10 @@
 
 #include "common/can_frame.h"
 #include "common/debounce.h"
+#include "common/voter.h"
 #include "space_drive/request.h"
-#include "space_drive/voter.h"
+
+enum { SPACE_DRIVE_CHANNELS = 3 }; /* as many as the voter takes */
 
 /* Properties of an axis, in the axis' own SI unit: rad for steering, Pa for the brake. */
 typedef struct space_drive_axis_config {

@@ -12,7 +12,6 @@
 #include "common/debounce.h"
 #include "common/executive.h"
 #include "space_drive/axis.h"
-#include "space_drive/voter.h"
 
 /* Position counts on CAN3. Steering: 0 right stop, 0x4000 straight, 0x8000 left stop (ours, after the brake's
  * published scale). Brake and gas: 0 full brake, 0x4000 neutral, 0x8000 full gas (gas is not used on this car).

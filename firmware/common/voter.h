@@ -1,18 +1,18 @@
 /* Vote of redundant channels: the median of three, the mean of two, nothing from one. */
-#ifndef RACELOOP_SPACE_DRIVE_VOTER_H
-#define RACELOOP_SPACE_DRIVE_VOTER_H
+#ifndef RACELOOP_VOTER_H
+#define RACELOOP_VOTER_H
 
 #include <stdbool.h>
 #include <stdint.h>
 
-enum { SPACE_DRIVE_CHANNELS = 3 };
+enum { VOTER_CHANNELS = 3 };
 
 /* Outcome of one vote. */
-typedef struct space_drive_ballot {
+typedef struct voter_ballot {
     float value;                          /* only meaningful when valid */
     bool valid;                           /* two channels or more took part */
-    bool deviates[SPACE_DRIVE_CHANNELS];  /* took part and lies farther than the tolerance from the others */
-} space_drive_ballot;
+    bool deviates[VOTER_CHANNELS];  /* took part and lies farther than the tolerance from the others */
+} voter_ballot;
 
 /* Vote.
  *
@@ -20,7 +20,6 @@ typedef struct space_drive_ballot {
  * usable value is finite. tolerance: largest distance from the median, or between two; same unit, not negative.
  * Of two channels that disagree both deviate: nobody can say which one is right.
  */
-space_drive_ballot space_drive_vote(const float values[SPACE_DRIVE_CHANNELS], const bool usable[SPACE_DRIVE_CHANNELS],
-                                    float tolerance);
+voter_ballot voter_vote(const float values[VOTER_CHANNELS], const bool usable[VOTER_CHANNELS], float tolerance);
 
 #endif

@@ -1,4 +1,4 @@
-#include "space_drive/voter.h"
+#include "common/voter.h"
 
 #include <math.h>
 
@@ -7,14 +7,13 @@ static float median(float a, float b, float c)
     return fmaxf(fminf(a, b), fminf(fmaxf(a, b), c));
 }
 
-space_drive_ballot space_drive_vote(const float values[SPACE_DRIVE_CHANNELS], const bool usable[SPACE_DRIVE_CHANNELS],
-                                    float tolerance)
+voter_ballot voter_vote(const float values[VOTER_CHANNELS], const bool usable[VOTER_CHANNELS], float tolerance)
 {
-    space_drive_ballot ballot = {0};
-    float taken[SPACE_DRIVE_CHANNELS] = {0.0f};
+    voter_ballot ballot = {0};
+    float taken[VOTER_CHANNELS] = {0.0f};
     uint32_t count = 0;
 
-    for (uint32_t i = 0; i < SPACE_DRIVE_CHANNELS; i++) {
+    for (uint32_t i = 0; i < VOTER_CHANNELS; i++) {
         if (usable[i]) {
             taken[count++] = values[i];
         }
@@ -27,7 +26,7 @@ space_drive_ballot space_drive_vote(const float values[SPACE_DRIVE_CHANNELS], co
 
     /* Two channels lie at equal distances from their mean, so half the tolerance bounds their difference. */
     const float allowed = count == 2U ? 0.5f * tolerance : tolerance;
-    for (uint32_t i = 0; i < SPACE_DRIVE_CHANNELS; i++) {
+    for (uint32_t i = 0; i < VOTER_CHANNELS; i++) {
         ballot.deviates[i] = usable[i] && fabsf(values[i] - ballot.value) > allowed;
     }
     return ballot;
