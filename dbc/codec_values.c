@@ -43,8 +43,7 @@ int codec_values_decode(uint32_t message_index, const uint8_t *data, uint32_t le
     return CODEC_OK;
 }
 
-int codec_values_frame(uint32_t message_index, uint64_t time_us, uint8_t sender, const double *values,
-                       can_frame *frame)
+int codec_values_frame(uint32_t message_index, uint64_t time_us, uint8_t sender, const double *values, can_frame *frame)
 {
     return (int)codec_values_frames(message_index, &time_us, sender, values, 1, frame);
 }

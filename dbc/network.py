@@ -31,6 +31,11 @@ class Bus(IntEnum):
     CAN_A = 2
     CAN_S = 3
 
+    @property
+    def label(self) -> str:
+        """Name for people and channel name in logs: CAN1, CAN3, CAN-A, CAN-S."""
+        return self.name.replace("_", "-")
+
 
 class Station(IntEnum):
     """Stations that send; ``enum can_station`` in firmware/common/can_frame.h."""
@@ -80,6 +85,7 @@ class MessageFacts:
     message : the message as cantools parsed it.
     bus, sender : where it travels and who owns it.
     cycle_ms, timeout_ms : nominal period and age at which the content is stale; 0 for none.
+    frames_per_cycle : frames of this message sent in one period.
     counter, crc : signals that hold the message counter and the CRC, if any.
     """
 
@@ -89,6 +95,7 @@ class MessageFacts:
     sender: Station
     cycle_ms: int
     timeout_ms: int
+    frames_per_cycle: int
     counter: Signal | None
     crc: Signal | None
 
@@ -134,12 +141,28 @@ def load_network(directory: Path = DIRECTORY) -> list[MessageFacts]:
     ConfigurationError
         Names the file, the message and what the codec does not support.
     """
-    facts = [
-        _message_facts(directory / f"{stem}.dbc", stem, bus, message)
-        for stem, bus in DATABASES.items()
-        for message in load_database(directory / f"{stem}.dbc").messages
-    ]
+    facts = []
+    for stem, bus in DATABASES.items():
+        path = directory / f"{stem}.dbc"
+        database = load_database(path)
+        bit_rate(path, database)  # attributes stand last: a file that was cut off lacks it
+        facts += [_message_facts(path, stem, bus, message) for message in database.messages]
     return sorted(facts, key=lambda row: row.key)
+
+
+def bit_rate(path: Path, database: Database) -> int:
+    """Bit rate of the bus in bit/s, from the attribute Baudrate.
+
+    Raises
+    ------
+    ConfigurationError
+        When the attribute is missing or not positive.
+    """
+    attributes: Mapping[str, Any] = database.dbc.attributes if database.dbc is not None else {}
+    rate: int = _attribute(attributes, "Baudrate", 0)
+    if rate <= 0:
+        raise ConfigurationError(path, "Baudrate", "is missing; allowed is a positive number of bit/s")
+    return rate
 
 
 def _message_facts(path: Path, stem: str, bus: Bus, message: Message) -> MessageFacts:
@@ -163,6 +186,7 @@ def _message_facts(path: Path, stem: str, bus: Bus, message: Message) -> Message
         sender=STATIONS[senders[0]],
         cycle_ms=_attribute(attributes, "GenMsgCycleTime", 0),
         timeout_ms=_attribute(attributes, "GenMsgTimeout", 0),
+        frames_per_cycle=_attribute(attributes, "FramesPerCycle", 1),
         counter=_check_signal(
             path, message, _attribute(attributes, "CounterSignal", ""), range(1, _COUNTER_BITS_MAX + 1)
         ),

@@ -1,0 +1,47 @@
+"""docs/protocol.md is what the DBC files say."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from dbc.network import load_network
+from dbc.protocol_page import PAGE, bus_load, main, protocol_page
+
+
+def test_committed_page_is_up_to_date() -> None:
+    assert PAGE.read_text(encoding="utf-8") == protocol_page(), "run python -m dbc.protocol_page"
+
+
+def test_page_names_every_message_and_signal() -> None:
+    page = protocol_page()
+    for facts in load_network():
+        assert f"### {facts.message.name}\n" in page
+        for signal in facts.message.signals:
+            assert f"| {signal.name} | {signal.start}\\|{signal.length} " in page
+
+
+def test_check_notices_a_difference(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    page = tmp_path / "protocol.md"
+    assert main(["--out", str(page), "--check"]) == 1
+    assert main(["--out", str(page)]) == 0
+    assert main(["--out", str(page), "--check"]) == 0
+    page.write_text(page.read_text(encoding="utf-8").replace("steering_cmd", "steering_command", 1), encoding="utf-8")
+    assert main(["--out", str(page), "--check"]) == 1
+    assert "out of date" in capsys.readouterr().err
+    assert main(["--out", str(tmp_path / "nowhere" / "protocol.md")]) == 2
+
+
+def test_load_of_one_message_by_hand() -> None:
+    """8 bytes, 11-bit id: 111 bits without and 135 with stuff bits; every 10 ms at 500 kbit/s."""
+    facts = next(facts for facts in load_network() if facts.message.name == "steering_cmd")
+    load = bus_load([facts], 500_000)
+    assert load.nominal == pytest.approx(111 * 100 / 500_000)
+    assert load.stuffed == pytest.approx(135 * 100 / 500_000)
+    assert bus_load([replace(facts, frames_per_cycle=3)], 500_000).nominal == pytest.approx(3 * load.nominal)
+    assert bus_load([replace(facts, cycle_ms=0)], 500_000).nominal == 0
+    extended = next(facts for facts in load_network() if facts.message.is_extended_frame)
+    assert bus_load([replace(extended, cycle_ms=10)], 500_000).nominal == pytest.approx(131 * 100 / 500_000)
+    assert bus_load([replace(extended, cycle_ms=10)], 500_000).stuffed == pytest.approx(160 * 100 / 500_000)
