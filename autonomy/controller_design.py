@@ -268,6 +268,7 @@ def tables(parameters: Mapping[str, float], file: Path = VEHICLE_FILE) -> dict[s
         "gear_ratio": ratios,
         "effective_mass": car["mass"] + wheels + car["engine_inertia"] * (ratios / rear) ** 2,
         "driveline_efficiency": car["driveline_efficiency"],
+        "clutch_engage_speed": car["clutch_engage_speed"],
         "driven_radius": rear,
         "engine_speed_step": ENGINE_SPEED_STEP,
         "engine_torque": engine_map(parameters),

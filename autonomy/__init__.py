@@ -1,0 +1,1 @@
+"""Autonomy of the car: track, estimation, race line and planning."""

@@ -1,0 +1,230 @@
+"""State estimation: one Kalman filter per GNSS receiver, both driven by the IMU, and a choice between them.
+
+Each filter is an error-state Kalman filter: the nominal state is carried on by the IMU at 100 Hz in plain floats,
+and filterpy's KalmanFilter holds the error of that state, which is linear and small. Covariance is needed only
+when a measurement arrives, so it is carried on once per GNSS epoch, not per IMU sample.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from filterpy.kalman import KalmanFilter
+
+from autonomy.frenet import FloatArray, wrap_angle
+
+GRAVITY = 9.81  # m/s2
+
+
+@dataclass(frozen=True)
+class ImuSample:
+    """Specific force (m/s2) and angular rates (rad/s) in vehicle axes (ISO 8855), at the centre of gravity."""
+
+    specific_force_x: float
+    specific_force_y: float
+    specific_force_z: float
+    roll_rate: float
+    pitch_rate: float
+    yaw_rate: float
+
+
+@dataclass(frozen=True)
+class GnssSample:
+    """One epoch of a receiver in the track frame, referred to the centre of gravity; standard deviations beside."""
+
+    x: float
+    y: float
+    velocity_east: float
+    velocity_north: float
+    yaw: float
+    std_x: float
+    std_y: float
+    std_velocity: float
+    std_yaw: float
+
+
+@dataclass(frozen=True)
+class LevelMotion:
+    """IMU sample turned into the horizontal plane: accelerations along and across the heading, heading rate."""
+
+    ax: float
+    ay: float
+    yaw_rate: float
+
+
+def level(imu: ImuSample, bank: float, grade: float) -> LevelMotion:
+    """Take bank and grade of the road out of an IMU sample.
+
+    The car lies on the road, so the road's attitude is the car's. Turning the measured specific force into the
+    horizontal plane removes gravity, which stands upright on it. The car turns with the banking about the
+    vertical: the gyroscope along the road's normal sees cos(bank) cos(grade) of the heading rate.
+
+    Parameters
+    ----------
+    imu : sample in vehicle axes.
+    bank : rad, positive with the left side low. grade : rad, positive uphill.
+    """
+    cos_bank, sin_bank = math.cos(bank), math.sin(bank)
+    cos_grade, sin_grade = math.cos(grade), math.sin(grade)
+    across = imu.specific_force_y * cos_bank + imu.specific_force_z * sin_bank
+    upright = imu.specific_force_z * cos_bank - imu.specific_force_y * sin_bank
+    along = imu.specific_force_x * cos_grade - upright * sin_grade
+    return LevelMotion(along, across, imu.yaw_rate / (cos_bank * cos_grade))
+
+
+@dataclass(frozen=True)
+class FilterTuning:
+    """Noise of the filters.
+
+    Attributes
+    ----------
+    acceleration_noise : m/s2 per sqrt(Hz), of the accelerometer with what bank compensation leaves.
+    yaw_rate_noise : rad/s per sqrt(Hz).
+    acceleration_bias_noise : m/s2 per sqrt(s), wander of the bias.
+    yaw_rate_bias_noise : rad/s per sqrt(s).
+    start_acceleration_bias, start_yaw_rate_bias : 1 sigma at the start.
+    gate : Mahalanobis distance of an epoch beyond which it is not used (5 degrees of freedom).
+    """
+
+    acceleration_noise: float = 0.03
+    yaw_rate_noise: float = 0.001
+    acceleration_bias_noise: float = 0.05
+    yaw_rate_bias_noise: float = 0.0005
+    start_acceleration_bias: float = 0.3
+    start_yaw_rate_bias: float = 0.01
+    gate: float = 5.0
+
+
+# Order of the error state.
+X, Y, VE, VN, YAW, BIAS_AX, BIAS_AY, BIAS_R = range(8)
+_STATES = 8
+_MEASUREMENTS = 5
+
+
+class GnssFilter:
+    """Error-state Kalman filter of one receiver.
+
+    Attributes
+    ----------
+    started : a first epoch has arrived.
+    distance : Mahalanobis distance of the last epoch from the prediction, used or not; infinite before.
+    """
+
+    def __init__(self, tuning: FilterTuning) -> None:
+        self._tuning = tuning
+        self._kalman = KalmanFilter(dim_x=_STATES, dim_z=_MEASUREMENTS)
+        self._kalman.H = np.eye(_MEASUREMENTS, _STATES)
+        self._transition = np.eye(_STATES)
+        self._process = np.zeros((_STATES, _STATES))
+        self._reset_clock()
+        self.started = False
+        self.distance = math.inf
+        self.x = self.y = self.velocity_east = self.velocity_north = self.yaw = 0.0
+        self.bias_ax = self.bias_ay = self.bias_yaw_rate = 0.0
+        self.ax = self.ay = self.yaw_rate = 0.0
+
+    def start(self, gnss: GnssSample) -> None:
+        """Take a first epoch as it is."""
+        t = self._tuning
+        self.x, self.y, self.yaw = gnss.x, gnss.y, wrap_angle(gnss.yaw)
+        self.velocity_east, self.velocity_north = gnss.velocity_east, gnss.velocity_north
+        self.bias_ax = self.bias_ay = self.bias_yaw_rate = 0.0
+        deviations = (
+            gnss.std_x, gnss.std_y, gnss.std_velocity, gnss.std_velocity, gnss.std_yaw,
+            t.start_acceleration_bias, t.start_acceleration_bias, t.start_yaw_rate_bias,
+        )
+        self._kalman.x = np.zeros((_STATES, 1))
+        self._kalman.P = np.diag(np.square(deviations))
+        self._reset_clock()
+        self.distance = 0.0
+        self.started = True
+
+    def predict(self, motion: LevelMotion, dt: float) -> None:
+        """Carry the nominal state on by one IMU sample taken at the end of dt (s)."""
+        ax, ay = motion.ax - self.bias_ax, motion.ay - self.bias_ay
+        rate = motion.yaw_rate - self.bias_yaw_rate
+        # The mean of the samples at both ends of the step is exact for linearly changing motion.
+        mean_ax, mean_ay, mean_rate = 0.5 * (ax + self.ax), 0.5 * (ay + self.ay), 0.5 * (rate + self.yaw_rate)
+        yaw = self.yaw + 0.5 * dt * mean_rate
+        cos, sin = math.cos(yaw), math.sin(yaw)
+        east, north = mean_ax * cos - mean_ay * sin, mean_ax * sin + mean_ay * cos
+        self.x += dt * (self.velocity_east + 0.5 * dt * east)
+        self.y += dt * (self.velocity_north + 0.5 * dt * north)
+        self.velocity_east += dt * east
+        self.velocity_north += dt * north
+        self.yaw = wrap_angle(self.yaw + dt * mean_rate)
+        self.ax, self.ay, self.yaw_rate = ax, ay, rate
+        self._elapsed += dt
+        self._sum_east += dt * east
+        self._sum_north += dt * north
+
+    def propagate_covariance(self) -> None:
+        """Carry the covariance on over the IMU samples since the last call."""
+        dt = self._elapsed
+        if dt <= 0.0:
+            return
+        t = self._tuning
+        cos, sin = math.cos(self.yaw), math.sin(self.yaw)
+        half = 0.5 * dt
+        f, q = self._transition, self._process
+        f[X, VE] = f[Y, VN] = dt
+        # A yaw error turns the acceleration; a bias adds to it in vehicle axes.
+        f[VE, YAW], f[VN, YAW] = -self._sum_north, self._sum_east
+        f[X, YAW], f[Y, YAW] = -half * self._sum_north, half * self._sum_east
+        f[VE, BIAS_AX], f[VE, BIAS_AY] = -dt * cos, dt * sin
+        f[VN, BIAS_AX], f[VN, BIAS_AY] = -dt * sin, -dt * cos
+        f[X, BIAS_AX], f[X, BIAS_AY] = -half * dt * cos, half * dt * sin
+        f[Y, BIAS_AX], f[Y, BIAS_AY] = -half * dt * sin, -half * dt * cos
+        f[YAW, BIAS_R] = -dt
+        acceleration = t.acceleration_noise**2
+        q[X, X] = q[Y, Y] = acceleration * dt**3 / 3.0
+        q[X, VE] = q[VE, X] = q[Y, VN] = q[VN, Y] = acceleration * dt**2 / 2.0
+        q[VE, VE] = q[VN, VN] = acceleration * dt
+        q[YAW, YAW] = t.yaw_rate_noise**2 * dt
+        q[BIAS_AX, BIAS_AX] = q[BIAS_AY, BIAS_AY] = t.acceleration_bias_noise**2 * dt
+        q[BIAS_R, BIAS_R] = t.yaw_rate_bias_noise**2 * dt
+        self._kalman.predict(F=f, Q=q)
+        self._reset_clock()
+
+    def update(self, gnss: GnssSample) -> bool:
+        """Use one epoch, if it is inside the gate.
+
+        Returns
+        -------
+        Whether it was used. `distance` tells how far off it was.
+        """
+        self.propagate_covariance()
+        innovation = np.array([[gnss.x - self.x], [gnss.y - self.y], [gnss.velocity_east - self.velocity_east],
+                               [gnss.velocity_north - self.velocity_north], [wrap_angle(gnss.yaw - self.yaw)]])
+        noise = np.diag([gnss.std_x**2, gnss.std_y**2, gnss.std_velocity**2, gnss.std_velocity**2, gnss.std_yaw**2])
+        covariance = self._kalman.P[:_MEASUREMENTS, :_MEASUREMENTS] + noise
+        self.distance = math.sqrt((innovation.T @ np.linalg.solve(covariance, innovation)).item())
+        if not self.distance <= self._tuning.gate:
+            return False
+        self._kalman.update(innovation, R=noise)
+        error = self._kalman.x[:, 0].tolist()
+        self._kalman.x = np.zeros((_STATES, 1))
+        self.x += error[X]
+        self.y += error[Y]
+        self.velocity_east += error[VE]
+        self.velocity_north += error[VN]
+        self.yaw = wrap_angle(self.yaw + error[YAW])
+        self.bias_ax += error[BIAS_AX]
+        self.bias_ay += error[BIAS_AY]
+        self.bias_yaw_rate += error[BIAS_R]
+        return True
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Covariance of the error state at the last propagation, shape (8, 8)."""
+        return np.asarray(self._kalman.P)
+
+    def position_deviation(self) -> float:
+        """1 sigma of the worse of both coordinates, m."""
+        covariance = self._kalman.P
+        return math.sqrt(max(covariance[X, X], covariance[Y, Y]))
+
+    def _reset_clock(self) -> None:
+        self._elapsed = self._sum_east = self._sum_north = 0.0

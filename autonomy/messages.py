@@ -1,0 +1,230 @@
+"""Between the partition's objects and CAN frames."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from autonomy.estimation import GnssSample, ImuSample
+from autonomy.geodesy import LocalTangentPlane
+from autonomy.localisation import Estimate
+from autonomy.planning import Plan
+from autonomy.status import NodeId, NodeStatus, SsmStatus, VehicleStatus
+from dbc.codec import database
+from dbc.frames import FRAME_SIZE, FRAME_STRUCT, Buffer
+
+MPH = 0.44704  # m/s
+
+
+class GnssInbox:
+    """Puts the four frames of an epoch together.
+
+    Parameters
+    ----------
+    letter : of the receiver's messages, a or b.
+    plane : track frame.
+    """
+
+    # The receivers report centimetres and hundredths; none is better than its last digit.
+    LEAST_STD_POSITION = 0.01
+    LEAST_STD_VELOCITY = 0.01
+    LEAST_STD_YAW = 0.0005
+
+    def __init__(self, letter: str, plane: LocalTangentPlane) -> None:
+        self._plane = plane
+        position, velocity, attitude, quality = (
+            database.message(f"gnss_{letter}_{part}") for part in ("position", "velocity", "attitude", "quality")
+        )
+        self._decode = tuple(message.decode for message in (position, velocity, attitude, quality))
+        self.identifiers = tuple(m.frame_id for m in (position, velocity, attitude, quality))
+        self._parts: list[bytes | None] = [None] * 4
+        self.sample: GnssSample | None = None
+
+    def receiver(self, part: int) -> Callable[[bytes], None]:
+        """Callback for the data of one part: 0 position, 1 velocity, 2 attitude, 3 quality."""
+
+        def receive(data: bytes) -> None:
+            # The position frame has the lowest identifier: it opens an epoch, and what is left of the last one goes.
+            if part == 0:
+                self._parts = [data, None, None, None]
+            elif self._parts[0] is not None:
+                self._parts[part] = data
+                if None not in self._parts:
+                    self._complete()
+                    self._parts = [None] * 4
+
+        return receive
+
+    def take(self) -> GnssSample | None:
+        """The epoch completed since the last call, or None."""
+        sample, self.sample = self.sample, None
+        return sample
+
+    def _complete(self) -> None:
+        position, velocity, attitude, quality = (
+            decode(data) for decode, data in zip(self._decode, self._parts, strict=True) if data is not None
+        )
+        east, north, _, std_velocity, velocity_counter = velocity
+        yaw, std_yaw, _, attitude_counter = attitude
+        std_x, std_y, _, fix_type, _, quality_counter = quality
+        if not velocity_counter == attitude_counter == quality_counter or fix_type == 0:
+            return  # frames of different epochs, or no solution
+        x, y, _ = self._plane.to_enu(*position, self._plane.height)
+        self.sample = GnssSample(
+            x=x,
+            y=y,
+            velocity_east=east,
+            velocity_north=north,
+            yaw=yaw,
+            std_x=max(std_x, self.LEAST_STD_POSITION),
+            std_y=max(std_y, self.LEAST_STD_POSITION),
+            std_velocity=max(std_velocity, self.LEAST_STD_VELOCITY),
+            std_yaw=max(std_yaw, self.LEAST_STD_YAW),
+        )
+
+
+class Inbox:
+    """Everything that the partition hears."""
+
+    def __init__(self, plane: LocalTangentPlane) -> None:
+        self._gnss = (GnssInbox("a", plane), GnssInbox("b", plane))
+        self._rates = database.message("imu_rates")
+        self._force = database.message("imu_specific_force")
+        self._ssm = database.message("ssm_status")
+        self._vehicle = database.message("vehicle_status")
+        self._latest: dict[int, bytes] = {}
+        self._handlers: dict[tuple[int, int], Callable[[bytes], None]] = {}
+        for message in (self._rates, self._force, self._ssm, self._vehicle):
+            self._handlers[int(message.bus), message.frame_id] = self._keeper(message.frame_id)
+        bus = int(self._rates.bus)
+        for inbox in self._gnss:
+            for part, identifier in enumerate(inbox.identifiers):
+                self._handlers[bus, identifier] = inbox.receiver(part)
+        self.malformed = 0
+
+    def push(self, frames: Buffer) -> None:
+        """Take the frames that arrived since the last tick. What is not for us is ignored."""
+        whole = len(frames) // FRAME_SIZE * FRAME_SIZE
+        self.malformed += len(frames) != whole
+        handlers = self._handlers
+        for _, identifier, bus, length, flags, _, data in FRAME_STRUCT.iter_unpack(memoryview(frames)[:whole]):
+            handler = handlers.get((bus, identifier))
+            if handler is None:
+                continue
+            if flags or length < 8:
+                self.malformed += 1
+                continue
+            handler(data)
+
+    def imu(self) -> ImuSample | None:
+        """The sample that arrived since the last call, when it is whole."""
+        rates, force = self._latest.pop(self._rates.frame_id, None), self._latest.pop(self._force.frame_id, None)
+        if rates is None or force is None:
+            return None
+        roll_rate, pitch_rate, yaw_rate, _ = self._rates.decode(rates)
+        force_x, force_y, force_z, _ = self._force.decode(force)
+        return ImuSample(force_x, force_y, force_z, roll_rate, pitch_rate, yaw_rate)
+
+    def gnss(self) -> tuple[GnssSample | None, GnssSample | None]:
+        """Epochs of both receivers that arrived since the last call."""
+        return self._gnss[0].take(), self._gnss[1].take()
+
+    def ssm_status(self) -> SsmStatus | None:
+        """The newest, or None before the first."""
+        data = self._latest.get(self._ssm.frame_id)
+        if data is None:
+            return None
+        values = self._ssm.decode(data)
+        return SsmStatus(int(values[0]), values[5], values[6], values[7])
+
+    def vehicle_status(self) -> VehicleStatus | None:
+        """The newest, or None before the first."""
+        data = self._latest.get(self._vehicle.frame_id)
+        if data is None:
+            return None
+        values = self._vehicle.decode(data)
+        return VehicleStatus(int(values[0]), int(values[3]), values[6] * MPH)
+
+    def _keeper(self, identifier: int) -> Callable[[bytes], None]:
+        latest = self._latest
+
+        def keep(data: bytes) -> None:
+            latest[identifier] = data
+
+        return keep
+
+
+class EstimateWriter:
+    """Three frames per estimate."""
+
+    def __init__(self) -> None:
+        self._position = database.message("estimate_position")
+        self._motion = database.message("estimate_motion")
+        self._quality = database.message("estimate_quality")
+        self._counter = 0
+
+    def frames(self, estimate: Estimate) -> bytes:
+        """Frames of one estimate; values beyond what the wire carries saturate."""
+        e = estimate
+        self._counter = (self._counter + 1) & 0xFF
+        return (
+            self._position.frame(_clip(e.x, 67000.0), _clip(e.y, 67000.0), self._counter)
+            + self._motion.frame(_clip(e.vx, 163.0), _clip(e.vy, 163.0), e.yaw, _clip(e.yaw_rate, 6.5))
+            + self._quality.frame(
+                _clip(e.ax, 102.0), _clip(e.ay, 102.0), e.source, e.quality,
+                min(e.distance_a, 51.15), min(e.distance_b, 51.15), min(e.deviation, 2.55), self._counter,
+            )
+        )
+
+
+class PlanWriter:
+    """Frames of a plan, in portions that leave room on the bus for everybody else."""
+
+    POINTS_PER_TICK = 11
+
+    def __init__(self) -> None:
+        self._header = database.message("trajectory_header")
+        self._pose = database.message("trajectory_pose")
+        self._motion = database.message("trajectory_motion")
+        self._counter = 0
+
+    def portions(self, plan: Plan, now_us: int) -> Iterator[bytes]:
+        """Frames to send in this tick and the following ones: the header, then pose and motion point by point."""
+        self._counter = (self._counter + 1) & 0xF
+        count = len(plan.x)
+        points = np.empty((count, 8))
+        index = np.arange(count)
+        points[:, 0], points[:, 1], points[:, 2], points[:, 3] = self._counter, index, plan.x, plan.y
+        pose = self._pose.frames(points[:, :4])
+        points = np.empty((count, 6))
+        points[:, 0], points[:, 1] = self._counter, index
+        points[:, 2], points[:, 3], points[:, 4], points[:, 5] = plan.yaw, plan.curvature, plan.speed, plan.bank
+        motion = self._motion.frames(points)
+        both = b"".join(
+            pose[i : i + FRAME_SIZE] + motion[i : i + FRAME_SIZE] for i in range(0, len(pose), FRAME_SIZE)
+        )
+        header = self._header.frame(
+            self._counter, count, plan.mission, plan.ends_in_stop, 0, plan.origin_s, (now_us // 1000) & 0xFFFFFFFF
+        )
+        step = 2 * self.POINTS_PER_TICK * FRAME_SIZE
+        yield header + both[:step]
+        for start in range(step, len(both), step):
+            yield both[start : start + step]
+
+
+class NodeWriter:
+    """Status of one node. The heartbeat counts its finished computations."""
+
+    def __init__(self, node: NodeId) -> None:
+        self._message = database.message("node_status")
+        self._node = node
+        self.heartbeat = 0
+
+    def frame(self, status: NodeStatus, reliability: float) -> bytes:
+        """Frame of this cycle. reliability: 0..1 of the node's result."""
+        return self._message.frame(self._node, status, 100.0 * reliability, self.heartbeat & 0xFFFF, 0)
+
+
+def _clip(value: float, limit: float) -> float:
+    return max(-limit, min(limit, value))

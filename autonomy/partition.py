@@ -1,0 +1,118 @@
+"""The autonomy partition: frames of CAN-S and CAN-A in, frames of CAN-A out, once per 10 ms."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from autonomy.localisation import Estimate, Localiser, Quality
+from autonomy.messages import EstimateWriter, Inbox, NodeWriter, PlanWriter
+from autonomy.planning import Planner
+from autonomy.race_path import RacePath
+from autonomy.status import NodeId, NodeStatus, SsmState
+from autonomy.track import Track
+from autonomy.track_files import load_track
+from autonomy.vehicle import VehicleLimits, load_vehicle
+from dbc.errors import ConfigurationError
+from dbc.frames import Buffer
+
+PLAN_PERIOD_US = 50_000
+
+# Reliability of the estimate by its quality level.
+_RELIABILITY = {Quality.LOST: 0.0, Quality.BAD: 0.25, Quality.DEGRADED: 0.6, Quality.GOOD: 1.0}
+_OFF_PATH = 10.0  # m; a plan that far from the car is none
+
+
+class AutonomyPartition:
+    """Estimation and planning behind one door.
+
+    Parameters
+    ----------
+    track : with an origin; ConfigurationError without.
+    vehicle : limits of the car.
+    """
+
+    def __init__(self, track: Track, vehicle: VehicleLimits) -> None:
+        if track.origin is None:
+            raise ConfigurationError(track.name, "origin", "is missing; positions of the receivers need it")
+        self.track = track
+        self.path = RacePath(track, vehicle)
+        self._inbox = Inbox(track.origin.tangent_plane())
+        self._localiser = Localiser(track.road_at)
+        self._planner = Planner(self.path, vehicle)
+        self._estimate_writer = EstimateWriter()
+        self._plan_writer = PlanWriter()
+        self._estimation = NodeWriter(NodeId.ESTIMATION)
+        self._planning = NodeWriter(NodeId.PLANNING)
+        self._launched = False
+        self._next_plan_us = 0
+        self._portions: Iterator[bytes] = iter(())
+        self._planning_status = NodeStatus.INITIALIZED
+
+    @classmethod
+    def from_files(cls, track_file: str | Path, vehicle_file: str | Path) -> AutonomyPartition:
+        """Partition for a track (YAML or CSV) and a car (YAML).
+
+        Raises
+        ------
+        ConfigurationError : a file is missing or wrong.
+        """
+        return cls(load_track(track_file), VehicleLimits.from_parameters(vehicle_file, load_vehicle(vehicle_file)))
+
+    def tick(self, now_us: int, frames: Buffer) -> bytes:
+        """One minor frame.
+
+        Parameters
+        ----------
+        now_us : simulated time.
+        frames : what arrived on CAN-S and CAN-A since the last tick, 24 bytes each.
+
+        Returns
+        -------
+        Frames to send on CAN-A.
+        """
+        inbox = self._inbox
+        inbox.push(frames)
+        if not self._launched:
+            ssm = inbox.ssm_status()
+            # Modules run only after the configuration was accepted.
+            if ssm is None or not SsmState.LAUNCHING <= ssm.state <= SsmState.EMERGENCY:
+                return self._status(NodeStatus.NOT_INITIALIZED, 0.0, NodeStatus.NOT_INITIALIZED, 0.0)
+            self._launched = True
+            return self._status(NodeStatus.INITIALIZED, 0.0, NodeStatus.INITIALIZED, 0.0)
+        estimate = self._localiser.step(now_us, inbox.imu(), *inbox.gnss())
+        if estimate is None:
+            return self._status(NodeStatus.INITIALIZED, 0.0, NodeStatus.INITIALIZED, 0.0)
+        self._estimation.heartbeat += 1
+        if now_us >= self._next_plan_us:
+            self._plan(now_us, estimate)
+        reliability = _RELIABILITY[estimate.quality]
+        lost = estimate.quality is Quality.LOST
+        return (
+            self._status(
+                NodeStatus.ERROR if lost else NodeStatus.OK, reliability,
+                self._planning_status, reliability if self._planning_status is NodeStatus.OK else 0.0,
+            )
+            + self._estimate_writer.frames(estimate)
+            + next(self._portions, b"")
+        )
+
+    def _plan(self, now_us: int, estimate: Estimate) -> None:
+        self._next_plan_us = now_us + PLAN_PERIOD_US
+        ssm, vehicle = self._inbox.ssm_status(), self._inbox.vehicle_status()
+        if ssm is None or vehicle is None:
+            return
+        plan = self._planner.plan(estimate, ssm, vehicle)
+        if abs(self._planner.cross_track) > _OFF_PATH:
+            self._planning_status = NodeStatus.ERROR
+            return
+        self._planning_status = NodeStatus.OK
+        self._planning.heartbeat += 1
+        self._portions = self._plan_writer.portions(plan, now_us)
+
+    def _status(
+        self, estimation: NodeStatus, estimation_reliability: float, planning: NodeStatus, planning_reliability: float
+    ) -> bytes:
+        return self._estimation.frame(estimation, estimation_reliability) + self._planning.frame(
+            planning, planning_reliability
+        )

@@ -1,0 +1,80 @@
+"""Codes and states that the partition shares with the rest of the car; the numbers are those on the wire."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+
+class NodeId(IntEnum):
+    """Registered nodes, as node_id."""
+
+    ESTIMATION = 0
+    PLANNING = 1
+
+
+class NodeStatus(IntEnum):
+    """Status codes of nodes, as node_status_code (paper, system status manager)."""
+
+    OK = 0
+    INITIALIZED = 64
+    INACTIVE = 100
+    NOT_INITIALIZED = 128
+    ERROR = 200
+    DEAD = 255
+
+
+class SsmState(IntEnum):
+    """States of the System Status Manager, as ssm_state."""
+
+    BOOT = 0
+    CONFIG_CHECK = 1
+    LAUNCHING = 2
+    NOMINAL = 3
+    DEGRADED = 4
+    EMERGENCY = 5
+    FULL_BRAKE = 6
+
+
+class CtState(IntEnum):
+    """States of the OBC in which the car may move, as obc_ct_state."""
+
+    INIT_DRIVING = 7
+    CAUTION = 8
+    NOM_RACE = 9
+    COORD_STOP = 10
+
+
+class VehicleFlag(IntEnum):
+    """Vehicle flags that planning obeys, as obc_veh_flag."""
+
+    CHEQUERED = 4
+
+
+class Mission(IntEnum):
+    """What a plan is for, as plan_mission."""
+
+    HOLD = 0
+    PIT_OUT = 1
+    CAUTION = 2
+    RACE = 3
+    STOP = 4
+
+
+@dataclass(frozen=True)
+class SsmStatus:
+    """State of the SSM and the limits in force: m/s and m/s2."""
+
+    state: int
+    max_speed: float
+    max_acceleration: float
+    max_deceleration: float
+
+
+@dataclass(frozen=True)
+class VehicleStatus:
+    """State of the car and what race control wants of it; target speed in m/s."""
+
+    ct_state: int
+    vehicle_flag: int
+    round_target_speed: float
