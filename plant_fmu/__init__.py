@@ -47,6 +47,4 @@ def fmu_path(fmi_version: int = 3) -> Path:
         if path.is_file():
             return path
         searched.append(str(folder))
-    raise FileNotFoundError(
-        f"{name} not found in {', '.join(searched)}; build the project or set {FMU_DIR_VARIABLE}"
-    )
+    raise FileNotFoundError(f"{name} not found in {', '.join(searched)}; build the project or set {FMU_DIR_VARIABLE}")

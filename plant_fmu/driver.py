@@ -1,8 +1,8 @@
 """Drive one plant FMU from Python: for tests, tuning and examples, not for speed.
 
-    with Plant(parameters={"v0": 20.0}) as car:
-        car.step(1.0, throttle_demand=0.3)
-        print(car["vx"])
+with Plant(parameters={"v0": 20.0}) as car:
+    car.step(1.0, throttle_demand=0.3)
+    print(car["vx"])
 """
 
 from __future__ import annotations
@@ -97,9 +97,7 @@ class Plant:
         reference = [self._references[name]]
         kind = self._types[name]
         if kind in ("Real", "Float64"):
-            values = self.fmu.getFloat64(reference) if kind == "Float64" else self.fmu.getReal(
-                reference
-            )
+            values = self.fmu.getFloat64(reference) if kind == "Float64" else self.fmu.getReal(reference)
             return float(values[0])
         if kind == "Boolean":
             return bool(self.fmu.getBoolean(reference)[0])

@@ -26,11 +26,11 @@ static void *find(void *library, const char *name)
 }
 
 /* POSIX lets an object pointer from dlsym become a function pointer; ISO C wants it by copy. */
-#define FIND(function)                                                                             \
-    function##TYPE *function = NULL;                                                               \
-    do {                                                                                           \
-        void *symbol = find(library, #function);                                                   \
-        memcpy(&function, &symbol, sizeof symbol);                                                 \
+#define FIND(function)                                                                                                 \
+    function##TYPE *function = NULL;                                                                                   \
+    do {                                                                                                               \
+        void *symbol = find(library, #function);                                                                       \
+        memcpy(&function, &symbol, sizeof symbol);                                                                     \
     } while (0)
 
 static void check(fmi3Status status, const char *what)
@@ -41,8 +41,7 @@ static void check(fmi3Status status, const char *what)
     }
 }
 
-static void log_message(fmi3InstanceEnvironment environment, fmi3Status status, fmi3String category,
-                        fmi3String message)
+static void log_message(fmi3InstanceEnvironment environment, fmi3Status status, fmi3String category, fmi3String message)
 {
     (void)environment;
     (void)status;
@@ -81,8 +80,8 @@ int main(int argc, char **argv)
     FIND(fmi3DoStep);
     FIND(fmi3FreeInstance);
 
-    fmi3Instance car = fmi3InstantiateCoSimulation("car", argv[TOKEN], "", false, false, false, false,
-                                                   NULL, 0, NULL, log_message, NULL);
+    fmi3Instance car = fmi3InstantiateCoSimulation("car", argv[TOKEN], "", false, false, false, false, NULL, 0, NULL,
+                                                   log_message, NULL);
     if (car == NULL) {
         return 1;
     }

@@ -41,27 +41,22 @@ static void share_axle(double axle_load, double transfer_to_right, double *left,
     *right = total - *left;
 }
 
-void chassis_wheel_loads(const struct chassis_state *state, const struct plant_vars *p,
-                         const struct road *road, double load[4])
+void chassis_wheel_loads(const struct chassis_state *state, const struct plant_vars *p, const struct road *road,
+                         double load[4])
 {
     const double wheelbase = p->cg_to_front_axle + p->cg_to_rear_axle;
-    const double weight = p->mass * (p->gravity * road->cos_bank * road->cos_grade +
-                                     normal_acceleration(state, road));
+    const double weight = p->mass * (p->gravity * road->cos_bank * road->cos_grade + normal_acceleration(state, road));
     const double dynamic_pressure = 0.5 * p->air_density * state->vx * state->vx;
     const double to_rear = p->mass * state->load_fx * p->cg_height / wheelbase;
     const double roll_moment = p->mass * state->load_fy * p->cg_height;
-    const double front = weight * p->cg_to_rear_axle / wheelbase - to_rear +
-                         dynamic_pressure * p->downforce_area_front;
-    const double rear = weight * p->cg_to_front_axle / wheelbase + to_rear +
-                        dynamic_pressure * p->downforce_area_rear;
-    share_axle(front, roll_moment * p->roll_stiffness_front_share / p->track_width_front, &load[FL],
-               &load[FR]);
-    share_axle(rear, roll_moment * (1.0 - p->roll_stiffness_front_share) / p->track_width_rear,
-               &load[RL], &load[RR]);
+    const double front = weight * p->cg_to_rear_axle / wheelbase - to_rear + dynamic_pressure * p->downforce_area_front;
+    const double rear = weight * p->cg_to_front_axle / wheelbase + to_rear + dynamic_pressure * p->downforce_area_rear;
+    share_axle(front, roll_moment * p->roll_stiffness_front_share / p->track_width_front, &load[FL], &load[FR]);
+    share_axle(rear, roll_moment * (1.0 - p->roll_stiffness_front_share) / p->track_width_rear, &load[RL], &load[RR]);
 }
 
-void chassis_wheel_motion(const struct plant_vars *p, double vx, double vy, double yaw_rate,
-                          double sin_steer, double cos_steer, struct wheel_motion *motion)
+void chassis_wheel_motion(const struct plant_vars *p, double vx, double vy, double yaw_rate, double sin_steer,
+                          double cos_steer, struct wheel_motion *motion)
 {
     const double half_front = 0.5 * p->track_width_front * yaw_rate;
     const double half_rear = 0.5 * p->track_width_rear * yaw_rate;
@@ -91,10 +86,9 @@ static void rotate_back(double angle, double *x, double *y)
     *y = ry;
 }
 
-void chassis_step(struct chassis_state *state, struct energy_account *energy,
-                  const struct plant_vars *p, const struct road *road, double sin_steer,
-                  double cos_steer, const double tyre_x[4], const double tyre_y[4],
-                  const double wheel_mid[4])
+void chassis_step(struct chassis_state *state, struct energy_account *energy, const struct plant_vars *p,
+                  const struct road *road, double sin_steer, double cos_steer, const double tyre_x[4],
+                  const double tyre_y[4], const double wheel_mid[4])
 {
     const double dt = PLANT_INNER_STEP_S;
     const double lf = p->cg_to_front_axle;
@@ -109,8 +103,8 @@ void chassis_step(struct chassis_state *state, struct energy_account *energy,
     }
     const double speed2 = state->vx * state->vx;
     const double drag = 0.5 * p->air_density * p->drag_area * state->vx * fabs(state->vx);
-    const double asymmetry = p->oval_asymmetry * p->asymmetry_yaw_moment * speed2 /
-                             (speed2 + asymmetry_fade_speed * asymmetry_fade_speed);
+    const double asymmetry =
+        p->oval_asymmetry * p->asymmetry_yaw_moment * speed2 / (speed2 + asymmetry_fade_speed * asymmetry_fade_speed);
     const double moment = lf * (by[FL] + by[FR]) - lr * (by[RL] + by[RR]) +
                           0.5 * p->track_width_front * (bx[FR] - bx[FL]) +
                           0.5 * p->track_width_rear * (bx[RR] - bx[RL]) + asymmetry;
@@ -130,8 +124,7 @@ void chassis_step(struct chassis_state *state, struct energy_account *energy,
     double tyre_work = 0.0;
     for (int i = 0; i < WHEELS; ++i) {
         const double radius = i < RL ? p->tyre_radius_front : p->tyre_radius_rear;
-        energy->tyre_power[i] = tyre_x[i] * (radius * wheel_mid[i] - mid.along[i]) -
-                                tyre_y[i] * mid.across[i];
+        energy->tyre_power[i] = tyre_x[i] * (radius * wheel_mid[i] - mid.along[i]) - tyre_y[i] * mid.across[i];
         tyre_work += energy->tyre_power[i];
     }
     energy->tyre += dt * (tyre_work - asymmetry * r_mid);

@@ -14,13 +14,8 @@ static const double overspeed_factor = 1.03;
 
 double driveline_ratio(const struct plant_vars *p, int32_t gear)
 {
-    const double ratio[] = {0.0,
-                            p->gear_ratio_1,
-                            p->gear_ratio_2,
-                            p->gear_ratio_3,
-                            p->gear_ratio_4,
-                            p->gear_ratio_5,
-                            p->gear_ratio_6};
+    const double ratio[] = {
+        0.0, p->gear_ratio_1, p->gear_ratio_2, p->gear_ratio_3, p->gear_ratio_4, p->gear_ratio_5, p->gear_ratio_6};
     return (gear >= 0 && gear <= 6) ? ratio[gear] * p->final_drive_ratio : 0.0;
 }
 
@@ -37,8 +32,7 @@ void driveline_start(struct driveline_state *state, int32_t gear)
     state->loss_torque = 0.0;
 }
 
-static void shift_begin(struct driveline_state *state, const struct plant_vars *p, int32_t next,
-                        double axle_speed)
+static void shift_begin(struct driveline_state *state, const struct plant_vars *p, int32_t next, double axle_speed)
 {
     const double limit = overspeed_factor * p->engine_speed_limit;
     if (next > 0 && next < state->gear && driveline_ratio(p, next) * axle_speed > limit) {
@@ -53,13 +47,12 @@ static void shift_begin(struct driveline_state *state, const struct plant_vars *
 /* In a gear with the clutch still closing after a shift. */
 static bool shift_closing(const struct driveline_state *state)
 {
-    return (state->status == SHIFT_UP || state->status == SHIFT_DOWN) && state->gear > 0 &&
-           state->clutch_ramp > 0.0 && state->clutch_ramp < 1.0;
+    return (state->status == SHIFT_UP || state->status == SHIFT_DOWN) && state->gear > 0 && state->clutch_ramp > 0.0 &&
+           state->clutch_ramp < 1.0;
 }
 
-void driveline_shift_step(struct driveline_state *state, const struct plant_vars *p, int32_t demand,
-                          int32_t powered, const double wheel_speed[4], double engine_speed,
-                          struct engine_command *command)
+void driveline_shift_step(struct driveline_state *state, const struct plant_vars *p, int32_t demand, int32_t powered,
+                          const double wheel_speed[4], double engine_speed, struct engine_command *command)
 {
     const double dt = PLANT_INNER_STEP_S;
     const double axle_speed = 0.5 * (wheel_speed[RL] + wheel_speed[RR]);
@@ -98,27 +91,23 @@ void driveline_shift_step(struct driveline_state *state, const struct plant_vars
         return;
     }
     const double ratio = driveline_ratio(p, state->gear);
-    if (state->gear == 0 ||
-        ratio * axle_speed > overspeed_factor * p->engine_speed_limit) {
+    if (state->gear == 0 || ratio * axle_speed > overspeed_factor * p->engine_speed_limit) {
         state->clutch_ramp = 0.0;
         return;
     }
     state->clutch_ramp = fmin(1.0, state->clutch_ramp + dt / p->clutch_close_time);
     const double span = fmax(p->clutch_closed_speed - p->clutch_engage_speed, 1.0);
     /* Capacity follows engine speed at once, so the engine cannot be dragged below idle. */
-    state->engagement =
-        fmin(state->clutch_ramp, clamp((engine_speed - p->clutch_engage_speed) / span, 0.0, 1.0));
+    state->engagement = fmin(state->clutch_ramp, clamp((engine_speed - p->clutch_engage_speed) / span, 0.0, 1.0));
 }
 
-void driveline_rotate(struct driveline_state *state, const struct plant_vars *p,
-                      const struct rotation_input *in, double wheel_speed[4], double *engine_speed,
-                      struct rotation_work *work)
+void driveline_rotate(struct driveline_state *state, const struct plant_vars *p, const struct rotation_input *in,
+                      double wheel_speed[4], double *engine_speed, struct rotation_work *work)
 {
     const double dt = PLANT_INNER_STEP_S;
     const double inertia[4] = {p->wheel_inertia_front, p->wheel_inertia_front, p->wheel_inertia_rear,
                                p->wheel_inertia_rear};
-    const double radius[4] = {p->tyre_radius_front, p->tyre_radius_front, p->tyre_radius_rear,
-                              p->tyre_radius_rear};
+    const double radius[4] = {p->tyre_radius_front, p->tyre_radius_front, p->tyre_radius_rear, p->tyre_radius_rear};
     const double ratio = state->shift_left > 0.0 ? 0.0 : driveline_ratio(p, state->gear);
 
     double speed[4];
@@ -131,11 +120,9 @@ void driveline_rotate(struct driveline_state *state, const struct plant_vars *p,
     double engine = *engine_speed + dt * in->engine_torque / p->engine_inertia;
 
     const double rear = p->wheel_inertia_rear;
-    const double clutch_mass =
-        1.0 / (1.0 / p->engine_inertia + ratio * ratio / (2.0 * rear));
+    const double clutch_mass = 1.0 / (1.0 / p->engine_inertia + ratio * ratio / (2.0 * rear));
     const double clutch_bound = dt * p->clutch_torque_max * state->engagement;
-    const double lock_bound = dt * (p->differential_preload +
-                                    p->differential_lock_ratio * fabs(state->wheel_torque));
+    const double lock_bound = dt * (p->differential_preload + p->differential_lock_ratio * fabs(state->wheel_torque));
     double clutch = 0.0;
     double lock = 0.0;
     for (int sweep = 0; sweep < SWEEPS; ++sweep) {
@@ -149,8 +136,7 @@ void driveline_rotate(struct driveline_state *state, const struct plant_vars *p,
             }
             friction[i] = next;
         }
-        const double lock_next =
-            clamp(lock - 0.5 * rear * (speed[RL] - speed[RR]), -lock_bound, lock_bound);
+        const double lock_next = clamp(lock - 0.5 * rear * (speed[RL] - speed[RR]), -lock_bound, lock_bound);
         speed[RL] += (lock_next - lock) / rear;
         speed[RR] -= (lock_next - lock) / rear;
         lock = lock_next;
@@ -173,8 +159,7 @@ void driveline_rotate(struct driveline_state *state, const struct plant_vars *p,
     const double engine_mid = 0.5 * (*engine_speed + engine);
     const double axle_mid = 0.5 * (work->wheel_mid[RL] + work->wheel_mid[RR]);
     work->engine = dt * in->engine_torque * engine_mid;
-    work->clutch = clutch * (engine_mid - ratio * axle_mid) -
-                   lock * (work->wheel_mid[RL] - work->wheel_mid[RR]);
+    work->clutch = clutch * (engine_mid - ratio * axle_mid) - lock * (work->wheel_mid[RL] - work->wheel_mid[RR]);
     *engine_speed = engine;
     state->clutch_torque = clutch / dt;
     const double gross = ratio * state->clutch_torque;

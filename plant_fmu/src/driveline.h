@@ -8,31 +8,25 @@
 #include "variables.h"
 
 /** Codes of the output gear_shift_status. */
-enum shift_status {
-    SHIFT_UNINITIALISED = 0,
-    SHIFT_READY = 1,
-    SHIFT_LOCKED_OUT = 2,
-    SHIFT_UP = 3,
-    SHIFT_DOWN = 4
-};
+enum shift_status { SHIFT_UNINITIALISED = 0, SHIFT_READY = 1, SHIFT_LOCKED_OUT = 2, SHIFT_UP = 3, SHIFT_DOWN = 4 };
 
 struct driveline_state {
-    int32_t gear;        /**< engaged, or the one being left during a shift */
-    int32_t next_gear;   /**< target of the running shift */
-    int32_t status;      /**< enum shift_status */
-    double shift_left;   /**< s until the shift ends, 0 when none runs */
-    double clutch_ramp;  /**< 0..1, closing of the clutch after a shift */
-    double engagement;   /**< 0..1, share of the clutch capacity in this step */
+    int32_t gear;         /**< engaged, or the one being left during a shift */
+    int32_t next_gear;    /**< target of the running shift */
+    int32_t status;       /**< enum shift_status */
+    double shift_left;    /**< s until the shift ends, 0 when none runs */
+    double clutch_ramp;   /**< 0..1, closing of the clutch after a shift */
+    double engagement;    /**< 0..1, share of the clutch capacity in this step */
     double clutch_torque; /**< in the last step, N m at the crankshaft */
-    double wheel_torque; /**< in the last step, N m at both driven wheels */
-    double loss_torque;  /**< of the driveline in the last step, N m at both wheels */
+    double wheel_torque;  /**< in the last step, N m at both driven wheels */
+    double loss_torque;   /**< of the driveline in the last step, N m at both wheels */
 };
 
 /** Torques on one inner step of all rotating parts. */
 struct rotation_input {
-    double tyre_force_x[4];    /**< N */
-    double wheel_friction[4];  /**< bound of brake and rolling torque, N m, >= 0 */
-    double engine_torque;      /**< N m */
+    double tyre_force_x[4];   /**< N */
+    double wheel_friction[4]; /**< bound of brake and rolling torque, N m, >= 0 */
+    double engine_torque;     /**< N m */
 };
 
 /** Work done in the step by what is inside the driveline, J, losses positive. */
@@ -52,15 +46,13 @@ void driveline_start(struct driveline_state *state, int32_t gear);
 /** One inner step of the shift logic. `demand` saturates to 0..6. Writes what the engine is asked
  * to do into `command`. Shifts go one gear at a time and need `powered`; a downshift that would
  * drive the engine beyond its limit is locked out while it is demanded. */
-void driveline_shift_step(struct driveline_state *state, const struct plant_vars *p, int32_t demand,
-                          int32_t powered, const double wheel_speed[4], double engine_speed,
-                          struct engine_command *command);
+void driveline_shift_step(struct driveline_state *state, const struct plant_vars *p, int32_t demand, int32_t powered,
+                          const double wheel_speed[4], double engine_speed, struct engine_command *command);
 
 /** One inner step of the speeds of the four wheels and the engine. Friction, clutch and differential
  * are exact stick-slip elements: what sticks has zero relative speed, what slips has its full
  * torque. */
-void driveline_rotate(struct driveline_state *state, const struct plant_vars *p,
-                      const struct rotation_input *in, double wheel_speed[4], double *engine_speed,
-                      struct rotation_work *work);
+void driveline_rotate(struct driveline_state *state, const struct plant_vars *p, const struct rotation_input *in,
+                      double wheel_speed[4], double *engine_speed, struct rotation_work *work);
 
 #endif

@@ -38,11 +38,10 @@ static double interpolate(const double *table, int count, double position)
 
 double engine_full_torque(const struct plant_vars *p, double speed)
 {
-    const double table[] = {
-        p->engine_torque_500,  p->engine_torque_1000, p->engine_torque_1500, p->engine_torque_2000,
-        p->engine_torque_2500, p->engine_torque_3000, p->engine_torque_3500, p->engine_torque_4000,
-        p->engine_torque_4500, p->engine_torque_5000, p->engine_torque_5500, p->engine_torque_6000,
-        p->engine_torque_6500, p->engine_torque_7000, p->engine_torque_7500};
+    const double table[] = {p->engine_torque_500,  p->engine_torque_1000, p->engine_torque_1500, p->engine_torque_2000,
+                            p->engine_torque_2500, p->engine_torque_3000, p->engine_torque_3500, p->engine_torque_4000,
+                            p->engine_torque_4500, p->engine_torque_5000, p->engine_torque_5500, p->engine_torque_6000,
+                            p->engine_torque_6500, p->engine_torque_7000, p->engine_torque_7500};
     return p->engine_torque_scale * interpolate(table, 15, speed * rpm_per_rad_s / 500.0 - 1.0);
 }
 
@@ -65,15 +64,13 @@ double engine_throttle_share(const struct plant_vars *p, double throttle, double
     if (boost >= 1.0) {
         return on_boost;
     }
-    const double off_boost =
-        1.0 - pow(1.0 - clamp(throttle, 0.0, 1.0), p->throttle_low_speed_exponent);
+    const double off_boost = 1.0 - pow(1.0 - clamp(throttle, 0.0, 1.0), p->throttle_low_speed_exponent);
     return off_boost + boost * (on_boost - off_boost);
 }
 
 double engine_drag(const struct plant_vars *p, double speed)
 {
-    return (p->engine_brake_torque + p->engine_brake_slope * speed) *
-           clamp(speed / drag_fade_speed, 0.0, 1.0);
+    return (p->engine_brake_torque + p->engine_brake_slope * speed) * clamp(speed / drag_fade_speed, 0.0, 1.0);
 }
 
 void engine_start(struct engine_state *state, int32_t running, double speed)
@@ -91,8 +88,7 @@ static double idle_torque(struct engine_state *state, const struct plant_vars *p
 {
     const double error = p->engine_idle_speed - state->speed;
     state->idle_integral =
-        clamp(state->idle_integral + idle_integral_gain * error * PLANT_INNER_STEP_S, 0.0,
-              p->engine_idle_torque_max);
+        clamp(state->idle_integral + idle_integral_gain * error * PLANT_INNER_STEP_S, 0.0, p->engine_idle_torque_max);
     return clamp(idle_gain * error + state->idle_integral, 0.0, p->engine_idle_torque_max);
 }
 
@@ -100,15 +96,13 @@ static double idle_torque(struct engine_state *state, const struct plant_vars *p
 static double throttle_torque(struct engine_state *state, const struct plant_vars *p)
 {
     const double dt = PLANT_INNER_STEP_S;
-    const double demand = engine_full_torque(p, state->speed) *
-                          engine_throttle_share(p, state->throttle, state->speed);
+    const double demand = engine_full_torque(p, state->speed) * engine_throttle_share(p, state->throttle, state->speed);
     const double rise = p->engine_torque_rise_limit * dt;
     state->boost_torque += clamp(demand - state->boost_torque, -fall_rate_factor * rise, rise);
     return state->boost_torque;
 }
 
-void engine_step(struct engine_state *state, const struct plant_vars *p,
-                 const struct engine_command *command)
+void engine_step(struct engine_state *state, const struct plant_vars *p, const struct engine_command *command)
 {
     const double dt = PLANT_INNER_STEP_S;
     state->throttle = lag_step(state->throttle, command->throttle, p->throttle_time_constant, dt);
@@ -128,8 +122,7 @@ void engine_step(struct engine_state *state, const struct plant_vars *p,
         const double fuel = throttle_torque(state, p);
         const double idle = idle_torque(state, p);
         const double ceiling = engine_full_torque(p, state->speed);
-        const double limiter =
-            clamp((p->engine_speed_limit - state->speed) / limiter_range, 0.0, 1.0);
+        const double limiter = clamp((p->engine_speed_limit - state->speed) / limiter_range, 0.0, 1.0);
         switch (command->request) {
         case ENGINE_CUT:
             drag = engine_drag(p, state->speed);

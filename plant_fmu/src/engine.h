@@ -40,7 +40,6 @@ void engine_start(struct engine_state *state, int32_t running, double speed);
 
 /** One inner step of throttle, combustion and starter. Sets state->torque and state->running; the
  * driveline integrates the speed. */
-void engine_step(struct engine_state *state, const struct plant_vars *p,
-                 const struct engine_command *command);
+void engine_step(struct engine_state *state, const struct plant_vars *p, const struct engine_command *command);
 
 #endif

@@ -16,31 +16,30 @@ static fmi2Status report(instance_t *instance, fmi2Status status)
     const fmi2CallbackFunctions *callbacks = instance->callbacks;
     if (callbacks != NULL && callbacks->logger != NULL) {
         callbacks->logger(callbacks->componentEnvironment, instance->name, status,
-                          status == fmi2Discard ? "logStatusDiscard" : "logStatusError", "%s",
-                          instance->message);
+                          status == fmi2Discard ? "logStatusDiscard" : "logStatusError", "%s", instance->message);
     }
     return status;
 }
 
 /* Enter a function: null component, mode. */
-#define BEGIN(mask)                                                                                \
-    instance_t *instance = c;                                                                      \
-    if (instance == NULL) {                                                                        \
-        return fmi2Error;                                                                          \
-    }                                                                                              \
-    if (!fmi_allowed(instance, __func__, (mask))) {                                                \
-        return report(instance, fmi2Error);                                                        \
+#define BEGIN(mask)                                                                                                    \
+    instance_t *instance = c;                                                                                          \
+    if (instance == NULL) {                                                                                            \
+        return fmi2Error;                                                                                              \
+    }                                                                                                                  \
+    if (!fmi_allowed(instance, __func__, (mask))) {                                                                    \
+        return report(instance, fmi2Error);                                                                            \
     }
 
-#define NOT_NULL(argument)                                                                         \
-    if (!fmi_not_null(instance, __func__, #argument, argument)) {                                  \
-        return report(instance, fmi2Error);                                                        \
+#define NOT_NULL(argument)                                                                                             \
+    if (!fmi_not_null(instance, __func__, #argument, argument)) {                                                      \
+        return report(instance, fmi2Error);                                                                            \
     }
 
-#define UNSUPPORTED(what)                                                                          \
-    do {                                                                                           \
-        fmi_message(instance, "%s: this FMU has no %s.", __func__, what);                          \
-        return report(instance, fmi2Error);                                                        \
+#define UNSUPPORTED(what)                                                                                              \
+    do {                                                                                                               \
+        fmi_message(instance, "%s: this FMU has no %s.", __func__, what);                                              \
+        return report(instance, fmi2Error);                                                                            \
     } while (0)
 
 static const int mode_get = MODE_INITIALIZATION | MODE_STEP | MODE_TERMINATED;
@@ -66,20 +65,18 @@ fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean loggingOn, size_t nC
     return fmi2OK;
 }
 
-static fmi2Component refuse(const fmi2CallbackFunctions *functions, const char *name,
-                            const char *message)
+static fmi2Component refuse(const fmi2CallbackFunctions *functions, const char *name, const char *message)
 {
     if (functions != NULL && functions->logger != NULL) {
-        functions->logger(functions->componentEnvironment, name != NULL ? name : "", fmi2Error,
-                          "logStatusError", "fmi2Instantiate: %s", message);
+        functions->logger(functions->componentEnvironment, name != NULL ? name : "", fmi2Error, "logStatusError",
+                          "fmi2Instantiate: %s", message);
     }
     return NULL;
 }
 
 fmi2Component fmi2Instantiate(fmi2String instanceName, fmi2Type fmuType, fmi2String fmuGUID,
-                              fmi2String fmuResourceLocation,
-                              const fmi2CallbackFunctions *functions, fmi2Boolean visible,
-                              fmi2Boolean loggingOn)
+                              fmi2String fmuResourceLocation, const fmi2CallbackFunctions *functions,
+                              fmi2Boolean visible, fmi2Boolean loggingOn)
 {
     (void)fmuResourceLocation;
     (void)visible;
@@ -108,8 +105,8 @@ void fmi2FreeInstance(fmi2Component c)
     free(c);
 }
 
-fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean toleranceDefined, fmi2Real tolerance,
-                               fmi2Real startTime, fmi2Boolean stopTimeDefined, fmi2Real stopTime)
+fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean toleranceDefined, fmi2Real tolerance, fmi2Real startTime,
+                               fmi2Boolean stopTimeDefined, fmi2Real stopTime)
 {
     BEGIN(MODE_INSTANTIATED)
     (void)toleranceDefined;
@@ -180,8 +177,7 @@ static fmi2Status get_ints(instance_t *instance, const char *function, enum plan
     return fmi2OK;
 }
 
-fmi2Status fmi2GetInteger(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
-                          fmi2Integer value[])
+fmi2Status fmi2GetInteger(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, fmi2Integer value[])
 {
     BEGIN(mode_get)
     if (nvr == 0) {
@@ -192,8 +188,7 @@ fmi2Status fmi2GetInteger(fmi2Component c, const fmi2ValueReference vr[], size_t
     return get_ints(instance, __func__, PLANT_INT, vr, nvr, value);
 }
 
-fmi2Status fmi2GetBoolean(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
-                          fmi2Boolean value[])
+fmi2Status fmi2GetBoolean(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, fmi2Boolean value[])
 {
     BEGIN(mode_get)
     if (nvr == 0) {
@@ -204,8 +199,7 @@ fmi2Status fmi2GetBoolean(fmi2Component c, const fmi2ValueReference vr[], size_t
     return get_ints(instance, __func__, PLANT_BOOL, vr, nvr, value);
 }
 
-fmi2Status fmi2GetString(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
-                         fmi2String value[])
+fmi2Status fmi2GetString(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, fmi2String value[])
 {
     BEGIN(mode_get)
     (void)vr;
@@ -216,8 +210,7 @@ fmi2Status fmi2GetString(fmi2Component c, const fmi2ValueReference vr[], size_t 
     UNSUPPORTED("string variables");
 }
 
-fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
-                       const fmi2Real value[])
+fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, const fmi2Real value[])
 {
     BEGIN(mode_set)
     if (nvr == 0) {
@@ -250,8 +243,7 @@ static fmi2Status set_ints(instance_t *instance, const char *function, enum plan
     return fmi2OK;
 }
 
-fmi2Status fmi2SetInteger(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
-                          const fmi2Integer value[])
+fmi2Status fmi2SetInteger(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, const fmi2Integer value[])
 {
     BEGIN(mode_set)
     if (nvr == 0) {
@@ -262,8 +254,7 @@ fmi2Status fmi2SetInteger(fmi2Component c, const fmi2ValueReference vr[], size_t
     return set_ints(instance, __func__, PLANT_INT, vr, nvr, value);
 }
 
-fmi2Status fmi2SetBoolean(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
-                          const fmi2Boolean value[])
+fmi2Status fmi2SetBoolean(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, const fmi2Boolean value[])
 {
     BEGIN(mode_set)
     if (nvr == 0) {
@@ -274,8 +265,7 @@ fmi2Status fmi2SetBoolean(fmi2Component c, const fmi2ValueReference vr[], size_t
     return set_ints(instance, __func__, PLANT_BOOL, vr, nvr, value);
 }
 
-fmi2Status fmi2SetString(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
-                         const fmi2String value[])
+fmi2Status fmi2SetString(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, const fmi2String value[])
 {
     BEGIN(mode_set)
     (void)vr;
@@ -327,8 +317,7 @@ fmi2Status fmi2SerializedFMUstateSize(fmi2Component c, fmi2FMUstate FMUstate, si
     return fmi2OK;
 }
 
-fmi2Status fmi2SerializeFMUstate(fmi2Component c, fmi2FMUstate FMUstate, fmi2Byte serializedState[],
-                                 size_t size)
+fmi2Status fmi2SerializeFMUstate(fmi2Component c, fmi2FMUstate FMUstate, fmi2Byte serializedState[], size_t size)
 {
     BEGIN(MODE_ANY)
     NOT_NULL(FMUstate)
@@ -364,9 +353,8 @@ fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte serializedSta
     return fmi2OK;
 }
 
-fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReference vUnknown_ref[],
-                                        size_t nUnknown, const fmi2ValueReference vKnown_ref[],
-                                        size_t nKnown, const fmi2Real dvKnown[],
+fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReference vUnknown_ref[], size_t nUnknown,
+                                        const fmi2ValueReference vKnown_ref[], size_t nKnown, const fmi2Real dvKnown[],
                                         fmi2Real dvUnknown[])
 {
     BEGIN(MODE_ANY)
@@ -401,8 +389,8 @@ fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReferenc
     UNSUPPORTED("output derivatives");
 }
 
-fmi2Status fmi2DoStep(fmi2Component c, fmi2Real currentCommunicationPoint,
-                      fmi2Real communicationStepSize, fmi2Boolean noSetFMUStatePriorToCurrentPoint)
+fmi2Status fmi2DoStep(fmi2Component c, fmi2Real currentCommunicationPoint, fmi2Real communicationStepSize,
+                      fmi2Boolean noSetFMUStatePriorToCurrentPoint)
 {
     BEGIN(MODE_STEP)
     (void)noSetFMUStatePriorToCurrentPoint;

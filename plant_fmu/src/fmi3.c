@@ -7,29 +7,29 @@
 #include "fmi3_report.h"
 #include "plant_token.h"
 
-#define BEGIN(mask)                                                                                \
-    struct fmi_instance *self = instance;                                                          \
-    if (self == NULL) {                                                                            \
-        return fmi3Error;                                                                          \
-    }                                                                                              \
-    if (!fmi_allowed(self, __func__, (mask))) {                                                    \
-        return fmi3_report(self, fmi3Error);                                                       \
+#define BEGIN(mask)                                                                                                    \
+    struct fmi_instance *self = instance;                                                                              \
+    if (self == NULL) {                                                                                                \
+        return fmi3Error;                                                                                              \
+    }                                                                                                                  \
+    if (!fmi_allowed(self, __func__, (mask))) {                                                                        \
+        return fmi3_report(self, fmi3Error);                                                                           \
     }
 
-#define NOT_NULL(argument)                                                                         \
-    if (!fmi_not_null(self, __func__, #argument, argument)) {                                      \
-        return fmi3_report(self, fmi3Error);                                                       \
+#define NOT_NULL(argument)                                                                                             \
+    if (!fmi_not_null(self, __func__, #argument, argument)) {                                                          \
+        return fmi3_report(self, fmi3Error);                                                                           \
     }
 
 /* All variables are scalars: one value per reference. */
-#define SAME_COUNT(references, values)                                                             \
-    if ((references) != (values)) {                                                                \
-        fmi_message(self, "%s: %zu values for %zu value references; all variables are scalars.",   \
-                    __func__, (values), (references));                                             \
-        return fmi3_report(self, fmi3Error);                                                       \
-    }                                                                                              \
-    if ((references) == 0) {                                                                       \
-        return fmi3OK;                                                                             \
+#define SAME_COUNT(references, values)                                                                                 \
+    if ((references) != (values)) {                                                                                    \
+        fmi_message(self, "%s: %zu values for %zu value references; all variables are scalars.", __func__, (values),   \
+                    (references));                                                                                     \
+        return fmi3_report(self, fmi3Error);                                                                           \
+    }                                                                                                                  \
+    if ((references) == 0) {                                                                                           \
+        return fmi3OK;                                                                                                 \
     }
 
 static const int mode_get = MODE_INITIALIZATION | MODE_STEP | MODE_TERMINATED;
@@ -40,8 +40,8 @@ fmi3Status fmi3_report(struct fmi_instance *instance, fmi3Status status)
     /* A function pointer does not fit into an object pointer: the instance holds its address. */
     const fmi3LogMessageCallback *log = instance->callbacks;
     if (log != NULL && *log != NULL) {
-        (*log)(instance->environment, status,
-               status == fmi3Discard ? "logStatusDiscard" : "logStatusError", instance->message);
+        (*log)(instance->environment, status, status == fmi3Discard ? "logStatusDiscard" : "logStatusError",
+               instance->message);
     }
     return status;
 }
@@ -67,8 +67,7 @@ fmi3Status fmi3SetDebugLogging(fmi3Instance instance, fmi3Boolean loggingOn, siz
     return fmi3OK;
 }
 
-static fmi3Instance refuse(fmi3InstanceEnvironment environment, fmi3LogMessageCallback log,
-                           const char *message)
+static fmi3Instance refuse(fmi3InstanceEnvironment environment, fmi3LogMessageCallback log, const char *message)
 {
     if (log != NULL) {
         log(environment, fmi3Error, "logStatusError", message);
@@ -76,12 +75,13 @@ static fmi3Instance refuse(fmi3InstanceEnvironment environment, fmi3LogMessageCa
     return NULL;
 }
 
-fmi3Instance fmi3InstantiateCoSimulation(
-    fmi3String instanceName, fmi3String instantiationToken, fmi3String resourcePath,
-    fmi3Boolean visible, fmi3Boolean loggingOn, fmi3Boolean eventModeUsed,
-    fmi3Boolean earlyReturnAllowed, const fmi3ValueReference requiredIntermediateVariables[],
-    size_t nRequiredIntermediateVariables, fmi3InstanceEnvironment instanceEnvironment,
-    fmi3LogMessageCallback logMessage, fmi3IntermediateUpdateCallback intermediateUpdate)
+fmi3Instance fmi3InstantiateCoSimulation(fmi3String instanceName, fmi3String instantiationToken,
+                                         fmi3String resourcePath, fmi3Boolean visible, fmi3Boolean loggingOn,
+                                         fmi3Boolean eventModeUsed, fmi3Boolean earlyReturnAllowed,
+                                         const fmi3ValueReference requiredIntermediateVariables[],
+                                         size_t nRequiredIntermediateVariables,
+                                         fmi3InstanceEnvironment instanceEnvironment, fmi3LogMessageCallback logMessage,
+                                         fmi3IntermediateUpdateCallback intermediateUpdate)
 {
     (void)resourcePath;
     (void)visible;
@@ -89,13 +89,11 @@ fmi3Instance fmi3InstantiateCoSimulation(
     (void)requiredIntermediateVariables;
     (void)intermediateUpdate;
     if (instanceName == NULL || instanceName[0] == '\0') {
-        return refuse(instanceEnvironment, logMessage,
-                      "fmi3InstantiateCoSimulation: instanceName is missing.");
+        return refuse(instanceEnvironment, logMessage, "fmi3InstantiateCoSimulation: instanceName is missing.");
     }
     if (instantiationToken == NULL || strcmp(instantiationToken, PLANT_TOKEN) != 0) {
         return refuse(instanceEnvironment, logMessage,
-                      "fmi3InstantiateCoSimulation: wrong instantiationToken, expected " PLANT_TOKEN
-                      ".");
+                      "fmi3InstantiateCoSimulation: wrong instantiationToken, expected " PLANT_TOKEN ".");
     }
     if (eventModeUsed || nRequiredIntermediateVariables > 0) {
         return refuse(instanceEnvironment, logMessage,
@@ -104,8 +102,7 @@ fmi3Instance fmi3InstantiateCoSimulation(
     }
     struct fmi3_instance *self = calloc(1, sizeof *self);
     if (self == NULL) {
-        return refuse(instanceEnvironment, logMessage,
-                      "fmi3InstantiateCoSimulation: out of memory.");
+        return refuse(instanceEnvironment, logMessage, "fmi3InstantiateCoSimulation: out of memory.");
     }
     (void)snprintf(self->base.name, sizeof self->base.name, "%s", instanceName);
     self->log = logMessage;
@@ -121,9 +118,8 @@ void fmi3FreeInstance(fmi3Instance instance)
     free(instance); /* base is the first member, so this is the address calloc gave */
 }
 
-fmi3Status fmi3EnterInitializationMode(fmi3Instance instance, fmi3Boolean toleranceDefined,
-                                       fmi3Float64 tolerance, fmi3Float64 startTime,
-                                       fmi3Boolean stopTimeDefined, fmi3Float64 stopTime)
+fmi3Status fmi3EnterInitializationMode(fmi3Instance instance, fmi3Boolean toleranceDefined, fmi3Float64 tolerance,
+                                       fmi3Float64 startTime, fmi3Boolean stopTimeDefined, fmi3Float64 stopTime)
 {
     BEGIN(MODE_INSTANTIATED)
     (void)toleranceDefined;
@@ -157,8 +153,8 @@ fmi3Status fmi3Reset(fmi3Instance instance)
     return fmi3OK;
 }
 
-fmi3Status fmi3GetFloat64(fmi3Instance instance, const fmi3ValueReference valueReferences[],
-                          size_t nValueReferences, fmi3Float64 values[], size_t nValues)
+fmi3Status fmi3GetFloat64(fmi3Instance instance, const fmi3ValueReference valueReferences[], size_t nValueReferences,
+                          fmi3Float64 values[], size_t nValues)
 {
     BEGIN(mode_get)
     SAME_COUNT(nValueReferences, nValues)
@@ -174,8 +170,8 @@ fmi3Status fmi3GetFloat64(fmi3Instance instance, const fmi3ValueReference valueR
     return fmi3OK;
 }
 
-fmi3Status fmi3GetInt32(fmi3Instance instance, const fmi3ValueReference valueReferences[],
-                        size_t nValueReferences, fmi3Int32 values[], size_t nValues)
+fmi3Status fmi3GetInt32(fmi3Instance instance, const fmi3ValueReference valueReferences[], size_t nValueReferences,
+                        fmi3Int32 values[], size_t nValues)
 {
     BEGIN(mode_get)
     SAME_COUNT(nValueReferences, nValues)
@@ -191,8 +187,8 @@ fmi3Status fmi3GetInt32(fmi3Instance instance, const fmi3ValueReference valueRef
     return fmi3OK;
 }
 
-fmi3Status fmi3GetBoolean(fmi3Instance instance, const fmi3ValueReference valueReferences[],
-                          size_t nValueReferences, fmi3Boolean values[], size_t nValues)
+fmi3Status fmi3GetBoolean(fmi3Instance instance, const fmi3ValueReference valueReferences[], size_t nValueReferences,
+                          fmi3Boolean values[], size_t nValues)
 {
     BEGIN(mode_get)
     SAME_COUNT(nValueReferences, nValues)
@@ -208,8 +204,8 @@ fmi3Status fmi3GetBoolean(fmi3Instance instance, const fmi3ValueReference valueR
     return fmi3OK;
 }
 
-fmi3Status fmi3SetFloat64(fmi3Instance instance, const fmi3ValueReference valueReferences[],
-                          size_t nValueReferences, const fmi3Float64 values[], size_t nValues)
+fmi3Status fmi3SetFloat64(fmi3Instance instance, const fmi3ValueReference valueReferences[], size_t nValueReferences,
+                          const fmi3Float64 values[], size_t nValues)
 {
     BEGIN(mode_set)
     SAME_COUNT(nValueReferences, nValues)
@@ -226,8 +222,8 @@ fmi3Status fmi3SetFloat64(fmi3Instance instance, const fmi3ValueReference valueR
     return fmi3OK;
 }
 
-fmi3Status fmi3SetInt32(fmi3Instance instance, const fmi3ValueReference valueReferences[],
-                        size_t nValueReferences, const fmi3Int32 values[], size_t nValues)
+fmi3Status fmi3SetInt32(fmi3Instance instance, const fmi3ValueReference valueReferences[], size_t nValueReferences,
+                        const fmi3Int32 values[], size_t nValues)
 {
     BEGIN(mode_set)
     SAME_COUNT(nValueReferences, nValues)
@@ -244,8 +240,8 @@ fmi3Status fmi3SetInt32(fmi3Instance instance, const fmi3ValueReference valueRef
     return fmi3OK;
 }
 
-fmi3Status fmi3SetBoolean(fmi3Instance instance, const fmi3ValueReference valueReferences[],
-                          size_t nValueReferences, const fmi3Boolean values[], size_t nValues)
+fmi3Status fmi3SetBoolean(fmi3Instance instance, const fmi3ValueReference valueReferences[], size_t nValueReferences,
+                          const fmi3Boolean values[], size_t nValues)
 {
     BEGIN(mode_set)
     SAME_COUNT(nValueReferences, nValues)
@@ -303,30 +299,27 @@ fmi3Status fmi3SerializedFMUStateSize(fmi3Instance instance, fmi3FMUState FMUSta
     return fmi3OK;
 }
 
-fmi3Status fmi3SerializeFMUState(fmi3Instance instance, fmi3FMUState FMUState,
-                                 fmi3Byte serializedState[], size_t size)
+fmi3Status fmi3SerializeFMUState(fmi3Instance instance, fmi3FMUState FMUState, fmi3Byte serializedState[], size_t size)
 {
     BEGIN(MODE_ANY)
     NOT_NULL(FMUState)
     NOT_NULL(serializedState)
     if (size < sizeof(struct fmi_saved_state)) {
-        fmi_message(self, "%s: size is %zu but %zu bytes are needed.", __func__, size,
-                    sizeof(struct fmi_saved_state));
+        fmi_message(self, "%s: size is %zu but %zu bytes are needed.", __func__, size, sizeof(struct fmi_saved_state));
         return fmi3_report(self, fmi3Error);
     }
     memcpy(serializedState, FMUState, sizeof(struct fmi_saved_state));
     return fmi3OK;
 }
 
-fmi3Status fmi3DeserializeFMUState(fmi3Instance instance, const fmi3Byte serializedState[],
-                                   size_t size, fmi3FMUState *FMUState)
+fmi3Status fmi3DeserializeFMUState(fmi3Instance instance, const fmi3Byte serializedState[], size_t size,
+                                   fmi3FMUState *FMUState)
 {
     BEGIN(MODE_ANY)
     NOT_NULL(serializedState)
     NOT_NULL(FMUState)
     if (size != sizeof(struct fmi_saved_state)) {
-        fmi_message(self, "%s: size is %zu but a state has %zu bytes.", __func__, size,
-                    sizeof(struct fmi_saved_state));
+        fmi_message(self, "%s: size is %zu but a state has %zu bytes.", __func__, size, sizeof(struct fmi_saved_state));
         return fmi3_report(self, fmi3Error);
     }
     if (*FMUState == NULL) {
@@ -340,11 +333,9 @@ fmi3Status fmi3DeserializeFMUState(fmi3Instance instance, const fmi3Byte seriali
     return fmi3OK;
 }
 
-fmi3Status fmi3DoStep(fmi3Instance instance, fmi3Float64 currentCommunicationPoint,
-                      fmi3Float64 communicationStepSize,
-                      fmi3Boolean noSetFMUStatePriorToCurrentPoint,
-                      fmi3Boolean *eventHandlingNeeded, fmi3Boolean *terminateSimulation,
-                      fmi3Boolean *earlyReturn, fmi3Float64 *lastSuccessfulTime)
+fmi3Status fmi3DoStep(fmi3Instance instance, fmi3Float64 currentCommunicationPoint, fmi3Float64 communicationStepSize,
+                      fmi3Boolean noSetFMUStatePriorToCurrentPoint, fmi3Boolean *eventHandlingNeeded,
+                      fmi3Boolean *terminateSimulation, fmi3Boolean *earlyReturn, fmi3Float64 *lastSuccessfulTime)
 {
     BEGIN(MODE_STEP)
     (void)noSetFMUStatePriorToCurrentPoint;
@@ -355,8 +346,7 @@ fmi3Status fmi3DoStep(fmi3Instance instance, fmi3Float64 currentCommunicationPoi
     *eventHandlingNeeded = fmi3False;
     *terminateSimulation = fmi3False;
     *earlyReturn = fmi3False;
-    const bool done =
-        fmi_step(self, __func__, currentCommunicationPoint, communicationStepSize);
+    const bool done = fmi_step(self, __func__, currentCommunicationPoint, communicationStepSize);
     *lastSuccessfulTime = plant_time(&self->plant);
     return done ? fmi3OK : fmi3_report(self, fmi3Error);
 }

@@ -11,8 +11,8 @@ static fmi3Status unsupported(fmi3Instance instance, const char *function)
     return fmi3_report(instance, fmi3Error);
 }
 
-static fmi3Instance refuse_instance(fmi3InstanceEnvironment environment,
-                                    fmi3LogMessageCallback log, const char *function)
+static fmi3Instance refuse_instance(fmi3InstanceEnvironment environment, fmi3LogMessageCallback log,
+                                    const char *function)
 {
     if (log != NULL) {
         log(environment, fmi3Error, "logStatusError", function);
@@ -21,8 +21,7 @@ static fmi3Instance refuse_instance(fmi3InstanceEnvironment environment,
 }
 
 fmi3Instance fmi3InstantiateModelExchange(fmi3String instanceName, fmi3String instantiationToken,
-                                          fmi3String resourcePath, fmi3Boolean visible,
-                                          fmi3Boolean loggingOn,
+                                          fmi3String resourcePath, fmi3Boolean visible, fmi3Boolean loggingOn,
                                           fmi3InstanceEnvironment instanceEnvironment,
                                           fmi3LogMessageCallback logMessage)
 {
@@ -34,13 +33,10 @@ fmi3Instance fmi3InstantiateModelExchange(fmi3String instanceName, fmi3String in
     return refuse_instance(instanceEnvironment, logMessage, __func__);
 }
 
-fmi3Instance fmi3InstantiateScheduledExecution(fmi3String instanceName,
-                                               fmi3String instantiationToken,
-                                               fmi3String resourcePath, fmi3Boolean visible,
-                                               fmi3Boolean loggingOn,
+fmi3Instance fmi3InstantiateScheduledExecution(fmi3String instanceName, fmi3String instantiationToken,
+                                               fmi3String resourcePath, fmi3Boolean visible, fmi3Boolean loggingOn,
                                                fmi3InstanceEnvironment instanceEnvironment,
-                                               fmi3LogMessageCallback logMessage,
-                                               fmi3ClockUpdateCallback clockUpdate,
+                                               fmi3LogMessageCallback logMessage, fmi3ClockUpdateCallback clockUpdate,
                                                fmi3LockPreemptionCallback lockPreemption,
                                                fmi3UnlockPreemptionCallback unlockPreemption)
 {
@@ -60,8 +56,8 @@ fmi3Status fmi3EnterEventMode(fmi3Instance instance)
     return unsupported(instance, __func__);
 }
 
-fmi3Status fmi3GetFloat32(fmi3Instance instance, const fmi3ValueReference valueReferences[],
-                          size_t nValueReferences, fmi3Float32 values[], size_t nValues)
+fmi3Status fmi3GetFloat32(fmi3Instance instance, const fmi3ValueReference valueReferences[], size_t nValueReferences,
+                          fmi3Float32 values[], size_t nValues)
 {
     (void)valueReferences;
     (void)nValueReferences;
@@ -70,8 +66,8 @@ fmi3Status fmi3GetFloat32(fmi3Instance instance, const fmi3ValueReference valueR
     return unsupported(instance, __func__);
 }
 
-fmi3Status fmi3GetInt8(fmi3Instance instance, const fmi3ValueReference valueReferences[],
-                       size_t nValueReferences, fmi3Int8 values[], size_t nValues)
+fmi3Status fmi3GetInt8(fmi3Instance instance, const fmi3ValueReference valueReferences[], size_t nValueReferences,
+                       fmi3Int8 values[], size_t nValues)
 {
     (void)valueReferences;
     (void)nValueReferences;
@@ -80,8 +76,8 @@ fmi3Status fmi3GetInt8(fmi3Instance instance, const fmi3ValueReference valueRefe
     return unsupported(instance, __func__);
 }
 
-fmi3Status fmi3GetUInt8(fmi3Instance instance, const fmi3ValueReference valueReferences[],
-                        size_t nValueReferences, fmi3UInt8 values[], size_t nValues)
+fmi3Status fmi3GetUInt8(fmi3Instance instance, const fmi3ValueReference valueReferences[], size_t nValueReferences,
+                        fmi3UInt8 values[], size_t nValues)
 {
     (void)valueReferences;
     (void)nValueReferences;
@@ -90,8 +86,8 @@ fmi3Status fmi3GetUInt8(fmi3Instance instance, const fmi3ValueReference valueRef
     return unsupported(instance, __func__);
 }
 
-fmi3Status fmi3GetInt16(fmi3Instance instance, const fmi3ValueReference valueReferences[],
-                        size_t nValueReferences, fmi3Int16 values[], size_t nValues)
+fmi3Status fmi3GetInt16(fmi3Instance instance, const fmi3ValueReference valueReferences[], size_t nValueReferences,
+                        fmi3Int16 values[], size_t nValues)
 {
     (void)valueReferences;
     (void)nValueReferences;
@@ -100,8 +96,8 @@ fmi3Status fmi3GetInt16(fmi3Instance instance, const fmi3ValueReference valueRef
     return unsupported(instance, __func__);
 }
 
-fmi3Status fmi3GetUInt16(fmi3Instance instance, const fmi3ValueReference valueReferences[],
-                         size_t nValueReferences, fmi3UInt16 values[], size_t nValues)
+fmi3Status fmi3GetUInt16(fmi3Instance instance, const fmi3ValueReference valueReferences[], size_t nValueReferences,
+                         fmi3UInt16 values[], size_t nValues)
 {
     (void)valueReferences;
     (void)nValueReferences;
@@ -110,8 +106,8 @@ fmi3Status fmi3GetUInt16(fmi3Instance instance, const fmi3ValueReference valueRe
     return unsupported(instance, __func__);
 }
 
-fmi3Status fmi3GetUInt32(fmi3Instance instance, const fmi3ValueReference valueReferences[],
-                         size_t nValueReferences, fmi3UInt32 values[], size_t nValues)
+fmi3Status fmi3GetUInt32(fmi3Instance instance, const fmi3ValueReference valueReferences[], size_t nValueReferences,
+                         fmi3UInt32 values[], size_t nValues)
 {
     (void)valueReferences;
     (void)nValueReferences;
@@ -120,8 +116,8 @@ fmi3Status fmi3GetUInt32(fmi3Instance instance, const fmi3ValueReference valueRe
     return unsupported(instance, __func__);
 }
 
-fmi3Status fmi3GetInt64(fmi3Instance instance, const fmi3ValueReference valueReferences[],
-                        size_t nValueReferences, fmi3Int64 values[], size_t nValues)
+fmi3Status fmi3GetInt64(fmi3Instance instance, const fmi3ValueReference valueReferences[], size_t nValueReferences,
+                        fmi3Int64 values[], size_t nValues)
 {
     (void)valueReferences;
     (void)nValueReferences;
@@ -130,8 +126,8 @@ fmi3Status fmi3GetInt64(fmi3Instance instance, const fmi3ValueReference valueRef
     return unsupported(instance, __func__);
 }
 
-fmi3Status fmi3GetUInt64(fmi3Instance instance, const fmi3ValueReference valueReferences[],
-                         size_t nValueReferences, fmi3UInt64 values[], size_t nValues)
+fmi3Status fmi3GetUInt64(fmi3Instance instance, const fmi3ValueReference valueReferences[], size_t nValueReferences,
+                         fmi3UInt64 values[], size_t nValues)
 {
     (void)valueReferences;
     (void)nValueReferences;
@@ -140,8 +136,8 @@ fmi3Status fmi3GetUInt64(fmi3Instance instance, const fmi3ValueReference valueRe
     return unsupported(instance, __func__);
 }
 
-fmi3Status fmi3GetString(fmi3Instance instance, const fmi3ValueReference valueReferences[],
-                         size_t nValueReferences, fmi3String values[], size_t nValues)
+fmi3Status fmi3GetString(fmi3Instance instance, const fmi3ValueReference valueReferences[], size_t nValueReferences,
+                         fmi3String values[], size_t nValues)
 {
     (void)valueReferences;
     (void)nValueReferences;
@@ -150,9 +146,8 @@ fmi3Status fmi3GetString(fmi3Instance instance, const fmi3ValueReference valueRe
     return unsupported(instance, __func__);
 }
 
-fmi3Status fmi3GetBinary(fmi3Instance instance, const fmi3ValueReference valueReferences[],
-                         size_t nValueReferences, size_t valueSizes[], fmi3Binary values[],
-                         size_t nValues)
+fmi3Status fmi3GetBinary(fmi3Instance instance, const fmi3ValueReference valueReferences[], size_t nValueReferences,
+                         size_t valueSizes[], fmi3Binary values[], size_t nValues)
 {
     (void)valueReferences;
     (void)nValueReferences;
@@ -162,8 +157,8 @@ fmi3Status fmi3GetBinary(fmi3Instance instance, const fmi3ValueReference valueRe
     return unsupported(instance, __func__);
 }
 
-fmi3Status fmi3GetClock(fmi3Instance instance, const fmi3ValueReference valueReferences[],
-                        size_t nValueReferences, fmi3Clock values[])
+fmi3Status fmi3GetClock(fmi3Instance instance, const fmi3ValueReference valueReferences[], size_t nValueReferences,
+                        fmi3Clock values[])
 {
     (void)valueReferences;
     (void)nValueReferences;
@@ -171,18 +166,8 @@ fmi3Status fmi3GetClock(fmi3Instance instance, const fmi3ValueReference valueRef
     return unsupported(instance, __func__);
 }
 
-fmi3Status fmi3SetFloat32(fmi3Instance instance, const fmi3ValueReference valueReferences[],
-                          size_t nValueReferences, const fmi3Float32 values[], size_t nValues)
-{
-    (void)valueReferences;
-    (void)nValueReferences;
-    (void)values;
-    (void)nValues;
-    return unsupported(instance, __func__);
-}
-
-fmi3Status fmi3SetInt8(fmi3Instance instance, const fmi3ValueReference valueReferences[],
-                       size_t nValueReferences, const fmi3Int8 values[], size_t nValues)
+fmi3Status fmi3SetFloat32(fmi3Instance instance, const fmi3ValueReference valueReferences[], size_t nValueReferences,
+                          const fmi3Float32 values[], size_t nValues)
 {
     (void)valueReferences;
     (void)nValueReferences;
@@ -191,8 +176,8 @@ fmi3Status fmi3SetInt8(fmi3Instance instance, const fmi3ValueReference valueRefe
     return unsupported(instance, __func__);
 }
 
-fmi3Status fmi3SetUInt8(fmi3Instance instance, const fmi3ValueReference valueReferences[],
-                        size_t nValueReferences, const fmi3UInt8 values[], size_t nValues)
+fmi3Status fmi3SetInt8(fmi3Instance instance, const fmi3ValueReference valueReferences[], size_t nValueReferences,
+                       const fmi3Int8 values[], size_t nValues)
 {
     (void)valueReferences;
     (void)nValueReferences;
@@ -201,8 +186,8 @@ fmi3Status fmi3SetUInt8(fmi3Instance instance, const fmi3ValueReference valueRef
     return unsupported(instance, __func__);
 }
 
-fmi3Status fmi3SetInt16(fmi3Instance instance, const fmi3ValueReference valueReferences[],
-                        size_t nValueReferences, const fmi3Int16 values[], size_t nValues)
+fmi3Status fmi3SetUInt8(fmi3Instance instance, const fmi3ValueReference valueReferences[], size_t nValueReferences,
+                        const fmi3UInt8 values[], size_t nValues)
 {
     (void)valueReferences;
     (void)nValueReferences;
@@ -211,8 +196,8 @@ fmi3Status fmi3SetInt16(fmi3Instance instance, const fmi3ValueReference valueRef
     return unsupported(instance, __func__);
 }
 
-fmi3Status fmi3SetUInt16(fmi3Instance instance, const fmi3ValueReference valueReferences[],
-                         size_t nValueReferences, const fmi3UInt16 values[], size_t nValues)
+fmi3Status fmi3SetInt16(fmi3Instance instance, const fmi3ValueReference valueReferences[], size_t nValueReferences,
+                        const fmi3Int16 values[], size_t nValues)
 {
     (void)valueReferences;
     (void)nValueReferences;
@@ -221,8 +206,8 @@ fmi3Status fmi3SetUInt16(fmi3Instance instance, const fmi3ValueReference valueRe
     return unsupported(instance, __func__);
 }
 
-fmi3Status fmi3SetUInt32(fmi3Instance instance, const fmi3ValueReference valueReferences[],
-                         size_t nValueReferences, const fmi3UInt32 values[], size_t nValues)
+fmi3Status fmi3SetUInt16(fmi3Instance instance, const fmi3ValueReference valueReferences[], size_t nValueReferences,
+                         const fmi3UInt16 values[], size_t nValues)
 {
     (void)valueReferences;
     (void)nValueReferences;
@@ -231,8 +216,8 @@ fmi3Status fmi3SetUInt32(fmi3Instance instance, const fmi3ValueReference valueRe
     return unsupported(instance, __func__);
 }
 
-fmi3Status fmi3SetInt64(fmi3Instance instance, const fmi3ValueReference valueReferences[],
-                        size_t nValueReferences, const fmi3Int64 values[], size_t nValues)
+fmi3Status fmi3SetUInt32(fmi3Instance instance, const fmi3ValueReference valueReferences[], size_t nValueReferences,
+                         const fmi3UInt32 values[], size_t nValues)
 {
     (void)valueReferences;
     (void)nValueReferences;
@@ -241,8 +226,8 @@ fmi3Status fmi3SetInt64(fmi3Instance instance, const fmi3ValueReference valueRef
     return unsupported(instance, __func__);
 }
 
-fmi3Status fmi3SetUInt64(fmi3Instance instance, const fmi3ValueReference valueReferences[],
-                         size_t nValueReferences, const fmi3UInt64 values[], size_t nValues)
+fmi3Status fmi3SetInt64(fmi3Instance instance, const fmi3ValueReference valueReferences[], size_t nValueReferences,
+                        const fmi3Int64 values[], size_t nValues)
 {
     (void)valueReferences;
     (void)nValueReferences;
@@ -251,8 +236,8 @@ fmi3Status fmi3SetUInt64(fmi3Instance instance, const fmi3ValueReference valueRe
     return unsupported(instance, __func__);
 }
 
-fmi3Status fmi3SetString(fmi3Instance instance, const fmi3ValueReference valueReferences[],
-                         size_t nValueReferences, const fmi3String values[], size_t nValues)
+fmi3Status fmi3SetUInt64(fmi3Instance instance, const fmi3ValueReference valueReferences[], size_t nValueReferences,
+                         const fmi3UInt64 values[], size_t nValues)
 {
     (void)valueReferences;
     (void)nValueReferences;
@@ -261,9 +246,18 @@ fmi3Status fmi3SetString(fmi3Instance instance, const fmi3ValueReference valueRe
     return unsupported(instance, __func__);
 }
 
-fmi3Status fmi3SetBinary(fmi3Instance instance, const fmi3ValueReference valueReferences[],
-                         size_t nValueReferences, const size_t valueSizes[],
-                         const fmi3Binary values[], size_t nValues)
+fmi3Status fmi3SetString(fmi3Instance instance, const fmi3ValueReference valueReferences[], size_t nValueReferences,
+                         const fmi3String values[], size_t nValues)
+{
+    (void)valueReferences;
+    (void)nValueReferences;
+    (void)values;
+    (void)nValues;
+    return unsupported(instance, __func__);
+}
+
+fmi3Status fmi3SetBinary(fmi3Instance instance, const fmi3ValueReference valueReferences[], size_t nValueReferences,
+                         const size_t valueSizes[], const fmi3Binary values[], size_t nValues)
 {
     (void)valueReferences;
     (void)nValueReferences;
@@ -273,8 +267,8 @@ fmi3Status fmi3SetBinary(fmi3Instance instance, const fmi3ValueReference valueRe
     return unsupported(instance, __func__);
 }
 
-fmi3Status fmi3SetClock(fmi3Instance instance, const fmi3ValueReference valueReferences[],
-                        size_t nValueReferences, const fmi3Clock values[])
+fmi3Status fmi3SetClock(fmi3Instance instance, const fmi3ValueReference valueReferences[], size_t nValueReferences,
+                        const fmi3Clock values[])
 {
     (void)valueReferences;
     (void)nValueReferences;
@@ -282,8 +276,7 @@ fmi3Status fmi3SetClock(fmi3Instance instance, const fmi3ValueReference valueRef
     return unsupported(instance, __func__);
 }
 
-fmi3Status fmi3GetNumberOfVariableDependencies(fmi3Instance instance,
-                                               fmi3ValueReference valueReference,
+fmi3Status fmi3GetNumberOfVariableDependencies(fmi3Instance instance, fmi3ValueReference valueReference,
                                                size_t *nDependencies)
 {
     (void)valueReference;
@@ -292,10 +285,9 @@ fmi3Status fmi3GetNumberOfVariableDependencies(fmi3Instance instance,
 }
 
 fmi3Status fmi3GetVariableDependencies(fmi3Instance instance, fmi3ValueReference dependent,
-                                       size_t elementIndicesOfDependent[],
-                                       fmi3ValueReference independents[],
-                                       size_t elementIndicesOfIndependents[],
-                                       fmi3DependencyKind dependencyKinds[], size_t nDependencies)
+                                       size_t elementIndicesOfDependent[], fmi3ValueReference independents[],
+                                       size_t elementIndicesOfIndependents[], fmi3DependencyKind dependencyKinds[],
+                                       size_t nDependencies)
 {
     (void)dependent;
     (void)elementIndicesOfDependent;
@@ -306,10 +298,9 @@ fmi3Status fmi3GetVariableDependencies(fmi3Instance instance, fmi3ValueReference
     return unsupported(instance, __func__);
 }
 
-fmi3Status fmi3GetDirectionalDerivative(fmi3Instance instance, const fmi3ValueReference unknowns[],
-                                        size_t nUnknowns, const fmi3ValueReference knowns[],
-                                        size_t nKnowns, const fmi3Float64 seed[], size_t nSeed,
-                                        fmi3Float64 sensitivity[], size_t nSensitivity)
+fmi3Status fmi3GetDirectionalDerivative(fmi3Instance instance, const fmi3ValueReference unknowns[], size_t nUnknowns,
+                                        const fmi3ValueReference knowns[], size_t nKnowns, const fmi3Float64 seed[],
+                                        size_t nSeed, fmi3Float64 sensitivity[], size_t nSensitivity)
 {
     (void)unknowns;
     (void)nUnknowns;
@@ -322,10 +313,9 @@ fmi3Status fmi3GetDirectionalDerivative(fmi3Instance instance, const fmi3ValueRe
     return unsupported(instance, __func__);
 }
 
-fmi3Status fmi3GetAdjointDerivative(fmi3Instance instance, const fmi3ValueReference unknowns[],
-                                    size_t nUnknowns, const fmi3ValueReference knowns[],
-                                    size_t nKnowns, const fmi3Float64 seed[], size_t nSeed,
-                                    fmi3Float64 sensitivity[], size_t nSensitivity)
+fmi3Status fmi3GetAdjointDerivative(fmi3Instance instance, const fmi3ValueReference unknowns[], size_t nUnknowns,
+                                    const fmi3ValueReference knowns[], size_t nKnowns, const fmi3Float64 seed[],
+                                    size_t nSeed, fmi3Float64 sensitivity[], size_t nSensitivity)
 {
     (void)unknowns;
     (void)nUnknowns;
@@ -349,8 +339,7 @@ fmi3Status fmi3ExitConfigurationMode(fmi3Instance instance)
 }
 
 fmi3Status fmi3GetIntervalDecimal(fmi3Instance instance, const fmi3ValueReference valueReferences[],
-                                  size_t nValueReferences, fmi3Float64 intervals[],
-                                  fmi3IntervalQualifier qualifiers[])
+                                  size_t nValueReferences, fmi3Float64 intervals[], fmi3IntervalQualifier qualifiers[])
 {
     (void)valueReferences;
     (void)nValueReferences;
@@ -359,10 +348,9 @@ fmi3Status fmi3GetIntervalDecimal(fmi3Instance instance, const fmi3ValueReferenc
     return unsupported(instance, __func__);
 }
 
-fmi3Status fmi3GetIntervalFraction(fmi3Instance instance,
-                                   const fmi3ValueReference valueReferences[],
-                                   size_t nValueReferences, fmi3UInt64 counters[],
-                                   fmi3UInt64 resolutions[], fmi3IntervalQualifier qualifiers[])
+fmi3Status fmi3GetIntervalFraction(fmi3Instance instance, const fmi3ValueReference valueReferences[],
+                                   size_t nValueReferences, fmi3UInt64 counters[], fmi3UInt64 resolutions[],
+                                   fmi3IntervalQualifier qualifiers[])
 {
     (void)valueReferences;
     (void)nValueReferences;
@@ -382,8 +370,7 @@ fmi3Status fmi3GetShiftDecimal(fmi3Instance instance, const fmi3ValueReference v
 }
 
 fmi3Status fmi3GetShiftFraction(fmi3Instance instance, const fmi3ValueReference valueReferences[],
-                                size_t nValueReferences, fmi3UInt64 counters[],
-                                fmi3UInt64 resolutions[])
+                                size_t nValueReferences, fmi3UInt64 counters[], fmi3UInt64 resolutions[])
 {
     (void)valueReferences;
     (void)nValueReferences;
@@ -401,10 +388,8 @@ fmi3Status fmi3SetIntervalDecimal(fmi3Instance instance, const fmi3ValueReferenc
     return unsupported(instance, __func__);
 }
 
-fmi3Status fmi3SetIntervalFraction(fmi3Instance instance,
-                                   const fmi3ValueReference valueReferences[],
-                                   size_t nValueReferences, const fmi3UInt64 counters[],
-                                   const fmi3UInt64 resolutions[])
+fmi3Status fmi3SetIntervalFraction(fmi3Instance instance, const fmi3ValueReference valueReferences[],
+                                   size_t nValueReferences, const fmi3UInt64 counters[], const fmi3UInt64 resolutions[])
 {
     (void)valueReferences;
     (void)nValueReferences;
@@ -423,8 +408,7 @@ fmi3Status fmi3SetShiftDecimal(fmi3Instance instance, const fmi3ValueReference v
 }
 
 fmi3Status fmi3SetShiftFraction(fmi3Instance instance, const fmi3ValueReference valueReferences[],
-                                size_t nValueReferences, const fmi3UInt64 counters[],
-                                const fmi3UInt64 resolutions[])
+                                size_t nValueReferences, const fmi3UInt64 counters[], const fmi3UInt64 resolutions[])
 {
     (void)valueReferences;
     (void)nValueReferences;
@@ -439,10 +423,9 @@ fmi3Status fmi3EvaluateDiscreteStates(fmi3Instance instance)
 }
 
 fmi3Status fmi3UpdateDiscreteStates(fmi3Instance instance, fmi3Boolean *discreteStatesNeedUpdate,
-                                    fmi3Boolean *terminateSimulation,
-                                    fmi3Boolean *nominalsOfContinuousStatesChanged,
-                                    fmi3Boolean *valuesOfContinuousStatesChanged,
-                                    fmi3Boolean *nextEventTimeDefined, fmi3Float64 *nextEventTime)
+                                    fmi3Boolean *terminateSimulation, fmi3Boolean *nominalsOfContinuousStatesChanged,
+                                    fmi3Boolean *valuesOfContinuousStatesChanged, fmi3Boolean *nextEventTimeDefined,
+                                    fmi3Float64 *nextEventTime)
 {
     (void)discreteStatesNeedUpdate;
     (void)terminateSimulation;
@@ -458,10 +441,8 @@ fmi3Status fmi3EnterContinuousTimeMode(fmi3Instance instance)
     return unsupported(instance, __func__);
 }
 
-fmi3Status fmi3CompletedIntegratorStep(fmi3Instance instance,
-                                       fmi3Boolean noSetFMUStatePriorToCurrentPoint,
-                                       fmi3Boolean *enterEventMode,
-                                       fmi3Boolean *terminateSimulation)
+fmi3Status fmi3CompletedIntegratorStep(fmi3Instance instance, fmi3Boolean noSetFMUStatePriorToCurrentPoint,
+                                       fmi3Boolean *enterEventMode, fmi3Boolean *terminateSimulation)
 {
     (void)noSetFMUStatePriorToCurrentPoint;
     (void)enterEventMode;
@@ -483,32 +464,28 @@ fmi3Status fmi3SetContinuousStates(fmi3Instance instance, const fmi3Float64 cont
     return unsupported(instance, __func__);
 }
 
-fmi3Status fmi3GetContinuousStateDerivatives(fmi3Instance instance, fmi3Float64 derivatives[],
-                                             size_t nContinuousStates)
+fmi3Status fmi3GetContinuousStateDerivatives(fmi3Instance instance, fmi3Float64 derivatives[], size_t nContinuousStates)
 {
     (void)derivatives;
     (void)nContinuousStates;
     return unsupported(instance, __func__);
 }
 
-fmi3Status fmi3GetEventIndicators(fmi3Instance instance, fmi3Float64 eventIndicators[],
-                                  size_t nEventIndicators)
+fmi3Status fmi3GetEventIndicators(fmi3Instance instance, fmi3Float64 eventIndicators[], size_t nEventIndicators)
 {
     (void)eventIndicators;
     (void)nEventIndicators;
     return unsupported(instance, __func__);
 }
 
-fmi3Status fmi3GetContinuousStates(fmi3Instance instance, fmi3Float64 continuousStates[],
-                                   size_t nContinuousStates)
+fmi3Status fmi3GetContinuousStates(fmi3Instance instance, fmi3Float64 continuousStates[], size_t nContinuousStates)
 {
     (void)continuousStates;
     (void)nContinuousStates;
     return unsupported(instance, __func__);
 }
 
-fmi3Status fmi3GetNominalsOfContinuousStates(fmi3Instance instance, fmi3Float64 nominals[],
-                                             size_t nContinuousStates)
+fmi3Status fmi3GetNominalsOfContinuousStates(fmi3Instance instance, fmi3Float64 nominals[], size_t nContinuousStates)
 {
     (void)nominals;
     (void)nContinuousStates;
@@ -532,10 +509,9 @@ fmi3Status fmi3EnterStepMode(fmi3Instance instance)
     return unsupported(instance, __func__);
 }
 
-fmi3Status fmi3GetOutputDerivatives(fmi3Instance instance,
-                                    const fmi3ValueReference valueReferences[],
-                                    size_t nValueReferences, const fmi3Int32 orders[],
-                                    fmi3Float64 values[], size_t nValues)
+fmi3Status fmi3GetOutputDerivatives(fmi3Instance instance, const fmi3ValueReference valueReferences[],
+                                    size_t nValueReferences, const fmi3Int32 orders[], fmi3Float64 values[],
+                                    size_t nValues)
 {
     (void)valueReferences;
     (void)nValueReferences;

@@ -56,8 +56,7 @@ bool fmi_allowed(struct fmi_instance *instance, const char *function, int mask)
     return false;
 }
 
-bool fmi_not_null(struct fmi_instance *instance, const char *function, const char *argument,
-                  const void *pointer)
+bool fmi_not_null(struct fmi_instance *instance, const char *function, const char *argument, const void *pointer)
 {
     if (pointer != NULL) {
         return true;
@@ -66,25 +65,22 @@ bool fmi_not_null(struct fmi_instance *instance, const char *function, const cha
     return false;
 }
 
-bool fmi_readable(struct fmi_instance *instance, const char *function, uint32_t vr,
-                  enum plant_type type)
+bool fmi_readable(struct fmi_instance *instance, const char *function, uint32_t vr, enum plant_type type)
 {
     if (vr >= PLANT_VARIABLE_COUNT) {
-        fmi_message(instance, "%s: value reference %u does not exist; the last one is %u.", function,
-                    (unsigned)vr, (unsigned)PLANT_VARIABLE_COUNT - 1U);
+        fmi_message(instance, "%s: value reference %u does not exist; the last one is %u.", function, (unsigned)vr,
+                    (unsigned)PLANT_VARIABLE_COUNT - 1U);
         return false;
     }
     if (plant_variables[vr].type != type) {
-        fmi_message(instance, "%s: %s (value reference %u) is %s, not %s.", function,
-                    plant_variables[vr].name, (unsigned)vr, type_names[plant_variables[vr].type],
-                    type_names[type]);
+        fmi_message(instance, "%s: %s (value reference %u) is %s, not %s.", function, plant_variables[vr].name,
+                    (unsigned)vr, type_names[plant_variables[vr].type], type_names[type]);
         return false;
     }
     return true;
 }
 
-bool fmi_writable(struct fmi_instance *instance, const char *function, uint32_t vr,
-                  enum plant_type type)
+bool fmi_writable(struct fmi_instance *instance, const char *function, uint32_t vr, enum plant_type type)
 {
     if (!fmi_readable(instance, function, vr, type)) {
         return false;
@@ -95,15 +91,13 @@ bool fmi_writable(struct fmi_instance *instance, const char *function, uint32_t 
         return false;
     }
     if (info->variability == PLANT_FIXED && instance->mode == MODE_STEP) {
-        fmi_message(instance, "%s: %s is a fixed parameter; set it before initialization ends.",
-                    function, info->name);
+        fmi_message(instance, "%s: %s is a fixed parameter; set it before initialization ends.", function, info->name);
         return false;
     }
     return true;
 }
 
-static bool write_result(struct fmi_instance *instance, uint32_t vr, double value,
-                         enum plant_set_result result)
+static bool write_result(struct fmi_instance *instance, uint32_t vr, double value, enum plant_set_result result)
 {
     const struct plant_variable *info = &plant_variables[vr];
     instance->dirty = 1;
@@ -115,8 +109,7 @@ static bool write_result(struct fmi_instance *instance, uint32_t vr, double valu
         return false;
     case PLANT_SET_OUT_OF_RANGE:
     default:
-        fmi_message(instance, "%s = %g is refused: allowed is %g to %g.", info->name, value,
-                    info->min, info->max);
+        fmi_message(instance, "%s = %g is refused: allowed is %g to %g.", info->name, value, info->min, info->max);
         return false;
     }
 }
@@ -150,15 +143,14 @@ bool fmi_step(struct fmi_instance *instance, const char *function, double time, 
 {
     const double now = plant_time(&instance->plant);
     if (!(fabs(time - now) <= time_tolerance)) {
-        fmi_message(instance, "%s: communication point is %.9g s but the instance is at %.9g s.",
-                    function, time, now);
+        fmi_message(instance, "%s: communication point is %.9g s but the instance is at %.9g s.", function, time, now);
         return false;
     }
     const double count = step / PLANT_INNER_STEP_S;
     if (!(count >= 1.0 - step_tolerance && count <= max_inner_steps) ||
         fabs(count - nearbyint(count)) > step_tolerance * fmax(1.0, count)) {
-        fmi_message(instance, "%s: step size %.9g s is not a positive multiple of %g s.", function,
-                    step, PLANT_INNER_STEP_S);
+        fmi_message(instance, "%s: step size %.9g s is not a positive multiple of %g s.", function, step,
+                    PLANT_INNER_STEP_S);
         return false;
     }
     plant_advance(&instance->plant, (int64_t)nearbyint(count));
@@ -177,8 +169,7 @@ void fmi_save(const struct fmi_instance *instance, struct fmi_saved_state *saved
     memcpy(&saved->plant, &instance->plant, sizeof saved->plant);
 }
 
-bool fmi_restore(struct fmi_instance *instance, const char *function,
-                 const struct fmi_saved_state *saved)
+bool fmi_restore(struct fmi_instance *instance, const char *function, const struct fmi_saved_state *saved)
 {
     if (saved->magic != SAVED_STATE_MAGIC || saved->size != sizeof *saved) {
         fmi_message(instance, "%s: these bytes are not a state of this FMU.", function);

@@ -6,16 +6,10 @@
 #include "model.h"
 
 /** Modes of an instance, one bit each, so that a call states its allowed modes as a mask. */
-enum fmi_mode {
-    MODE_INSTANTIATED = 1,
-    MODE_INITIALIZATION = 2,
-    MODE_STEP = 4,
-    MODE_TERMINATED = 8,
-    MODE_ANY = 15
-};
+enum fmi_mode { MODE_INSTANTIATED = 1, MODE_INITIALIZATION = 2, MODE_STEP = 4, MODE_TERMINATED = 8, MODE_ANY = 15 };
 
 #define FMI_MESSAGE_SIZE 256
-#define FMI_NAME_SIZE 64
+#define FMI_NAME_SIZE    64
 
 struct fmi_instance {
     struct plant plant;
@@ -47,16 +41,13 @@ void fmi_instance_reset(struct fmi_instance *instance);
 bool fmi_allowed(struct fmi_instance *instance, const char *function, int mask);
 
 /** Check an argument that must not be null. */
-bool fmi_not_null(struct fmi_instance *instance, const char *function, const char *argument,
-                  const void *pointer);
+bool fmi_not_null(struct fmi_instance *instance, const char *function, const char *argument, const void *pointer);
 
 /** Check that `vr` is a variable of type `type`. */
-bool fmi_readable(struct fmi_instance *instance, const char *function, uint32_t vr,
-                  enum plant_type type);
+bool fmi_readable(struct fmi_instance *instance, const char *function, uint32_t vr, enum plant_type type);
 
 /** Check that `vr` is a variable of type `type` that may be set in the present mode. */
-bool fmi_writable(struct fmi_instance *instance, const char *function, uint32_t vr,
-                  enum plant_type type);
+bool fmi_writable(struct fmi_instance *instance, const char *function, uint32_t vr, enum plant_type type);
 
 /** Write a checked variable; false when the value is refused, which leaves the old one. */
 bool fmi_write_real(struct fmi_instance *instance, uint32_t vr, double value);
@@ -73,8 +64,7 @@ bool fmi_step(struct fmi_instance *instance, const char *function, double time, 
 
 /** Fill `saved` from the instance, or the instance from `saved` after checking its header. */
 void fmi_save(const struct fmi_instance *instance, struct fmi_saved_state *saved);
-bool fmi_restore(struct fmi_instance *instance, const char *function,
-                 const struct fmi_saved_state *saved);
+bool fmi_restore(struct fmi_instance *instance, const char *function, const struct fmi_saved_state *saved);
 
 /** Write a printf-style message into the instance. */
 void fmi_message(struct fmi_instance *instance, const char *format, ...)

@@ -95,8 +95,7 @@ static double kinetic_energy(const struct plant *plant)
     const struct plant_vars *p = &plant->v;
     const struct chassis_state *c = &plant->chassis;
     const double *w = plant->wheel_speed;
-    return 0.5 * (p->mass * (c->vx * c->vx + c->vy * c->vy) +
-                  p->yaw_inertia * c->yaw_rate * c->yaw_rate +
+    return 0.5 * (p->mass * (c->vx * c->vx + c->vy * c->vy) + p->yaw_inertia * c->yaw_rate * c->yaw_rate +
                   p->wheel_inertia_front * (w[FL] * w[FL] + w[FR] * w[FR]) +
                   p->wheel_inertia_rear * (w[RL] * w[RL] + w[RR] * w[RR]) +
                   p->engine_inertia * plant->engine.speed * plant->engine.speed);
@@ -127,8 +126,7 @@ static void write_motion_outputs(struct plant *plant)
     v->distance = c->distance;
 }
 
-static void write_wheel_outputs(struct plant *plant, const double load[4],
-                                const struct tyre_force force[4])
+static void write_wheel_outputs(struct plant *plant, const double load[4], const struct tyre_force force[4])
 {
     struct plant_vars *v = &plant->v;
     v->wheel_speed_fl = plant->wheel_speed[FL];
@@ -200,8 +198,7 @@ static void write_energy_outputs(struct plant *plant)
                       (v->energy_kinetic - e->kinetic_start);
 }
 
-static void write_outputs(struct plant *plant, const double load[4],
-                          const struct tyre_force force[4])
+static void write_outputs(struct plant *plant, const double load[4], const struct tyre_force force[4])
 {
     write_motion_outputs(plant);
     write_wheel_outputs(plant, load, force);
@@ -241,49 +238,49 @@ void plant_start(struct plant *plant, double start_time)
 static double wheel_friction(const struct plant *plant, int i, double load)
 {
     const struct plant_vars *p = &plant->v;
-    const double pressure = i < RL ? brakes_front_pressure(&plant->brakes, p)
-                                   : brakes_rear_pressure(&plant->brakes, p);
+    const double pressure = i < RL ? brakes_front_pressure(&plant->brakes, p) : brakes_rear_pressure(&plant->brakes, p);
     const double radius = i < RL ? p->tyre_radius_front : p->tyre_radius_rear;
     return pressure * p->brake_torque_gain + p->rolling_resistance * load * radius;
 }
 
-static void thermal_update(struct plant *plant, const struct rotation_work *work, int32_t cranking)
+static void thermal_update(struct plant *plant, const struct rotation_work *work, const double load[4],
+                           int32_t cranking)
 {
     const double axle = 0.5 * (plant->wheel_speed[RL] + plant->wheel_speed[RR]);
-    struct thermal_input in = {
-        .engine_power = plant->engine.torque * plant->engine.speed,
-        .engine_speed = plant->engine.speed,
-        .driveline_power = fabs(plant->driveline.loss_torque * axle) +
-                           fabs(work->clutch) / PLANT_INNER_STEP_S,
-        .axle_speed = axle,
-        .speed = plant->chassis.vx,
-        .ignition = plant->v.ignition,
-        .cranking = cranking,
-        .running = plant->engine.running};
-    memcpy(in.tyre_power, plant->energy.tyre_power, sizeof in.tyre_power);
+    struct thermal_input in = {.engine_power = plant->engine.torque * plant->engine.speed,
+                               .engine_speed = plant->engine.speed,
+                               .driveline_power =
+                                   fabs(plant->driveline.loss_torque * axle) + fabs(work->clutch) / PLANT_INNER_STEP_S,
+                               .axle_speed = axle,
+                               .speed = plant->chassis.vx,
+                               .ignition = plant->v.ignition,
+                               .cranking = cranking,
+                               .running = plant->engine.running};
+    for (int i = 0; i < WHEELS; ++i) {
+        in.slip_power[i] = plant->energy.tyre_power[i];
+        in.rolling_power[i] = plant->v.rolling_resistance * load[i] * fabs(plant->chassis.vx);
+    }
     thermal_step(&plant->thermal, &plant->v, &in, THERMAL_DIVIDER * PLANT_INNER_STEP_S);
 }
 
-static void inner_step(struct plant *plant, const struct road *road, double load[4],
-                       struct tyre_force force[4])
+static void inner_step(struct plant *plant, const struct road *road, double load[4], struct tyre_force force[4])
 {
     const struct plant_vars *p = &plant->v;
     steering_step(&plant->steering, p, p->steer_motor_demand);
     brakes_step(&plant->brakes, p, p->brake_pressure_demand);
 
-    struct engine_command engine = {.throttle = clamp(p->throttle_demand, 0.0, 1.0),
-                                    .ignition = p->ignition,
-                                    .starter = p->starter};
-    driveline_shift_step(&plant->driveline, p, p->gear_demand, p->ignition, plant->wheel_speed,
-                         plant->engine.speed, &engine);
+    struct engine_command engine = {
+        .throttle = clamp(p->throttle_demand, 0.0, 1.0), .ignition = p->ignition, .starter = p->starter};
+    driveline_shift_step(&plant->driveline, p, p->gear_demand, p->ignition, plant->wheel_speed, plant->engine.speed,
+                         &engine);
     engine_step(&plant->engine, p, &engine);
 
     const double steer = steering_road_angle(&plant->steering, p);
     const double sin_steer = sin(steer);
     const double cos_steer = cos(steer);
     struct wheel_motion motion;
-    chassis_wheel_motion(p, plant->chassis.vx, plant->chassis.vy, plant->chassis.yaw_rate, sin_steer,
-                         cos_steer, &motion);
+    chassis_wheel_motion(p, plant->chassis.vx, plant->chassis.vy, plant->chassis.yaw_rate, sin_steer, cos_steer,
+                         &motion);
     chassis_wheel_loads(&plant->chassis, p, road, load);
 
     struct rotation_input rotation = {.engine_torque = plant->engine.torque};
@@ -296,11 +293,9 @@ static void inner_step(struct plant *plant, const struct road *road, double load
             .load = load[i],
             .speed_x = motion.along[i],
             .speed_y = motion.across[i],
-            .rim_speed =
-                plant->wheel_speed[i] * (front ? p->tyre_radius_front : p->tyre_radius_rear),
+            .rim_speed = plant->wheel_speed[i] * (front ? p->tyre_radius_front : p->tyre_radius_rear),
             .friction = road->friction,
-            .stiffness_scale =
-                front ? p->tyre_stiffness_scale_front : p->tyre_stiffness_scale_rear,
+            .stiffness_scale = front ? p->tyre_stiffness_scale_front : p->tyre_stiffness_scale_rear,
             .slip_offset = p->oval_asymmetry * p->camber_slip_gain * camber};
         force[i] = tyre_step(&plant->tyre[i], p, &in);
         tyre_x[i] = force[i].x;
@@ -310,18 +305,16 @@ static void inner_step(struct plant *plant, const struct road *road, double load
     }
 
     struct rotation_work work;
-    driveline_rotate(&plant->driveline, p, &rotation, plant->wheel_speed, &plant->engine.speed,
-                     &work);
+    driveline_rotate(&plant->driveline, p, &rotation, plant->wheel_speed, &plant->engine.speed, &work);
     plant->energy.engine += work.engine;
     plant->energy.wheel_friction += work.wheel_friction;
     plant->energy.clutch += work.clutch;
-    chassis_step(&plant->chassis, &plant->energy, p, road, sin_steer, cos_steer, tyre_x, tyre_y,
-                 work.wheel_mid);
+    chassis_step(&plant->chassis, &plant->energy, p, road, sin_steer, cos_steer, tyre_x, tyre_y, work.wheel_mid);
 
     plant->steps += 1;
     if (plant->steps % THERMAL_DIVIDER == 0) {
         const int32_t cranking = p->starter != 0 && plant->engine.running == 0 ? 1 : 0;
-        thermal_update(plant, &work, cranking);
+        thermal_update(plant, &work, load, cranking);
     }
 }
 

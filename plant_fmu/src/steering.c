@@ -13,13 +13,12 @@ void steering_step(struct steering_state *state, const struct plant_vars *p, dou
 {
     const double dt = PLANT_INNER_STEP_S;
     const double limit = p->steer_motor_limit;
-    const double target =
-        delay_step(&state->delay, clamp(demand, -limit, limit), p->steer_delay);
+    const double target = delay_step(&state->delay, clamp(demand, -limit, limit), p->steer_delay);
     const double omega = 2.0 * PLANT_PI * p->steer_bandwidth;
 
     /* Damping is taken implicitly: it stays stable for any bandwidth the table allows. */
-    double rate = (state->rate + dt * omega * omega * (target - state->angle)) /
-                  (1.0 + 2.0 * p->steer_damping * omega * dt);
+    double rate =
+        (state->rate + dt * omega * omega * (target - state->angle)) / (1.0 + 2.0 * p->steer_damping * omega * dt);
     rate = clamp(rate, -p->steer_motor_rate_limit, p->steer_motor_rate_limit);
     double angle = state->angle + dt * rate;
     if (angle > limit || angle < -limit) {

@@ -18,12 +18,13 @@ struct thermal_state {
 };
 
 struct thermal_input {
-    double engine_power;    /**< of combustion, W */
-    double engine_speed;    /**< rad/s */
-    double driveline_power; /**< lost in clutch and gearbox, W */
-    double axle_speed;      /**< rad/s */
-    double speed;           /**< m/s */
-    double tyre_power[4];   /**< lost in each tyre, W */
+    double engine_power;     /**< of combustion, W */
+    double engine_speed;     /**< rad/s */
+    double driveline_power;  /**< lost in clutch and gearbox, W */
+    double axle_speed;       /**< rad/s */
+    double speed;            /**< m/s */
+    double slip_power[4];    /**< lost in the slip of each tyre, W */
+    double rolling_power[4]; /**< lost in the rolling of each tyre, W */
     int32_t ignition;
     int32_t cranking;
     int32_t running;
@@ -33,7 +34,6 @@ struct thermal_input {
 void thermal_start(struct thermal_state *state, const struct plant_vars *p);
 
 /** One step of `dt` seconds (0 < dt <= 0.1). */
-void thermal_step(struct thermal_state *state, const struct plant_vars *p,
-                  const struct thermal_input *in, double dt);
+void thermal_step(struct thermal_state *state, const struct plant_vars *p, const struct thermal_input *in, double dt);
 
 #endif

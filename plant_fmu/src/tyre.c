@@ -43,8 +43,7 @@ static double shape_over_slip(double s, double c, double e, double slide)
     return (angle > 0.5 * PLANT_PI ? fmax(shape, slide) : shape) / s;
 }
 
-struct tyre_force tyre_step(struct tyre_state *state, const struct plant_vars *p,
-                            const struct tyre_input *in)
+struct tyre_force tyre_step(struct tyre_state *state, const struct plant_vars *p, const struct tyre_input *in)
 {
     struct tyre_force force = {0.0, 0.0, 0.0, 0.0};
     const double dt = PLANT_INNER_STEP_S;
@@ -55,10 +54,8 @@ struct tyre_force tyre_step(struct tyre_state *state, const struct plant_vars *p
     }
     const double load = in->load;
     const double change = fmin(load / p->tyre_nominal_load - 1.0, max_load_change);
-    const double peak_x = load * fmax(0.1, p->tyre_pdx1 + p->tyre_pdx2 * change) *
-                          p->tyre_mu_scale_x * in->friction;
-    const double peak_y = load * fmax(0.1, p->tyre_pdy1 + p->tyre_pdy2 * change) *
-                          p->tyre_mu_scale_y * in->friction;
+    const double peak_x = load * fmax(0.1, p->tyre_pdx1 + p->tyre_pdx2 * change) * p->tyre_mu_scale_x * in->friction;
+    const double peak_y = load * fmax(0.1, p->tyre_pdy1 + p->tyre_pdy2 * change) * p->tyre_mu_scale_y * in->friction;
     const double stiffness_x = load * p->tyre_pkx1 * exp(p->tyre_pkx3 * change);
     const double stiffness_y = tyre_cornering_stiffness(p, load) * in->stiffness_scale;
     const double bx = stiffness_x / (p->tyre_pcx1 * peak_x * p->tyre_relaxation_x);
@@ -71,8 +68,7 @@ struct tyre_force tyre_step(struct tyre_state *state, const struct plant_vars *p
     double ux = (state->deflection_x + dt * slip_speed_x) / (1.0 + dt * roll / p->tyre_relaxation_x);
     double uy = (state->deflection_y + dt * slip_speed_y) / (1.0 + dt * roll / p->tyre_relaxation_y);
 
-    const double bound =
-        fmin(slip_bound_standing + slip_bound_per_speed * (roll + fabs(in->speed_y)), slip_bound_top);
+    const double bound = fmin(slip_bound_standing + slip_bound_per_speed * (roll + fabs(in->speed_y)), slip_bound_top);
     const double stored = sqrt(bx * bx * ux * ux + by * by * uy * uy);
     if (stored > bound) {
         ux *= bound / stored;

@@ -34,7 +34,6 @@ struct tyre_force {
 double tyre_cornering_stiffness(const struct plant_vars *p, double load);
 
 /** One inner step: update the deflection and return the force on the wheel. */
-struct tyre_force tyre_step(struct tyre_state *state, const struct plant_vars *p,
-                            const struct tyre_input *in);
+struct tyre_force tyre_step(struct tyre_state *state, const struct plant_vars *p, const struct tyre_input *in);
 
 #endif

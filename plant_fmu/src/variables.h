@@ -26,7 +26,7 @@ enum plant_vr {
 };
 
 #define PLANT_STORAGE_REAL double
-#define PLANT_STORAGE_INT int32_t
+#define PLANT_STORAGE_INT  int32_t
 #define PLANT_STORAGE_BOOL int32_t
 
 /** All variables by name, SI units. */
