@@ -50,16 +50,16 @@ class Weights:
     ----------
     error : m, lateral error that is worth the whole effort.
     error_rate : m/s, lateral error rate that is worth it.
-    integral : m s, integral of the error that is worth it.
+    integral : m2, integral of the error over distance that is worth it.
     effort : m/s2, lateral acceleration of a steering angle that counts as the whole effort at speed.
     steer_max : rad, largest angle that counts as the whole effort, at low speed.
     """
 
     error: float = 0.5
     error_rate: float = 1.5
-    integral: float = 0.6
+    integral: float = 40.0
     effort: float = 4.0
-    steer_max: float = 0.04
+    steer_max: float = 0.03
 
 
 class _Car:
@@ -176,7 +176,7 @@ def lateral_gains(
     q = np.zeros((7, 7))
     q[0, 0] = w.error**-2
     q[1, 1] = w.error_rate**-2
-    q[6, 6] = w.integral**-2
+    q[6, 6] = (speed / w.integral) ** 2
     r = np.array([[effort**-2]])
     p = solve_discrete_are(a, b, q, r)
     factor = np.linalg.solve(r + b.T @ p @ b, b.T)

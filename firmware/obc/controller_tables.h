@@ -65,8 +65,9 @@ typedef struct controller_tables {
     float gear_ratio[CONTROLLER_GEARS];     /* engine over wheel speed; 0 in neutral */
     float effective_mass[CONTROLLER_GEARS]; /* kg, with all that spins */
     float driveline_efficiency;
-    float driven_radius;     /* m */
-    float engine_speed_step; /* rad/s between rows of the engine map, first row at 0 */
+    float clutch_engage_speed; /* rad/s of the engine, below it the clutch is open */
+    float driven_radius;       /* m */
+    float engine_speed_step;   /* rad/s between rows of the engine map, first row at 0 */
     float engine_torque[CONTROLLER_ENGINE_SPEEDS][CONTROLLER_THROTTLES]; /* N m, rising along each row */
 
     /* Brakes */

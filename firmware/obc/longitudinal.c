@@ -13,7 +13,9 @@ static const float integral_gain = 0.25f;    /* 1/s2 */
 static const float derivative_gain = 0.1f;   /* of the difference of accelerations */
 static const float integral_max = 2.0f;      /* m/s2 */
 
-static const float reference_lead_max = 3.0f; /* m/s: the reference does not run away from a car that cannot follow */
+static const float integrated_max = 1.0f; /* m/s: a larger error is one the engine or the tyres cannot follow */
+
+static const float reference_lead_max = 2.0f; /* m/s: the reference does not run away from a car that cannot follow */
 static const float grip_used = 1.2f;          /* tyre force over wheel load that control asks for at most */
 static const float switch_band = 150.0f;      /* N around the force of the closed throttle */
 static const float throttle_rise = 1.5f;      /* 1/s */
@@ -66,6 +68,15 @@ static float lever(uint8_t gear)
     return gear < CONTROLLER_GEARS ? controller_table.gear_ratio[gear] / controller_table.driven_radius : 0.0f;
 }
 
+/* Force of the closed throttle, N, zero or negative. The automatic clutch frees the wheels from a slow engine. */
+static float coasting_force(float engine_speed, float per_torque)
+{
+    if (engine_speed < controller_table.clutch_engage_speed) {
+        return 0.0f;
+    }
+    return per_torque * fminf(engine_map_torque(engine_speed, 0.0f), 0.0f);
+}
+
 static void stand(longitudinal *self, longitudinal_output *out)
 {
     self->integral = 0.0f;
@@ -84,7 +95,7 @@ static void stand(longitudinal *self, longitudinal_output *out)
 static bool apply(longitudinal *self, const longitudinal_input *in, float force)
 {
     const float per_torque = lever(in->gear);
-    const float coasting = per_torque * fminf(engine_map_torque(in->engine_speed, 0.0f), 0.0f);
+    const float coasting = coasting_force(in->engine_speed, per_torque);
     if (self->braking ? force > coasting + switch_band : force < coasting - switch_band) {
         self->braking = !self->braking;
     }
@@ -128,7 +139,7 @@ void longitudinal_step(longitudinal *self, const longitudinal_input *in, longitu
     const uint8_t gear = in->gear < CONTROLLER_GEARS ? in->gear : 0u;
     const float force = controller_table.effective_mass[gear] * acceleration + resistance(in);
     const bool free = apply(self, in, force);
-    if (!in->shifting && (free || (error > 0.0f) == self->braking)) {
+    if (!in->shifting && fabsf(error) < integrated_max && (free || (error > 0.0f) == self->braking)) {
         self->integral = numeric_clamp(self->integral + integral_gain * error * period, -integral_max, integral_max);
     }
     out->throttle = self->throttle;

@@ -4,9 +4,9 @@
 
 #include "obc/numeric.h"
 
-static const float lookahead_time = 0.6f; /* s */
-static const float lookahead_min = 8.0f;  /* m */
-static const float lookahead_max = 50.0f; /* m */
+static const float lookahead_time = 0.45f; /* s */
+static const float lookahead_min = 8.0f;   /* m */
+static const float lookahead_max = 50.0f;  /* m */
 
 float pure_pursuit_command(const lateral_state *state)
 {
