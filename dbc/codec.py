@@ -20,15 +20,20 @@ from functools import cached_property
 from math import isfinite
 from pathlib import Path
 from struct import Struct
+from typing import TYPE_CHECKING
 
 import numpy as np
-from cantools.database.can import Message
 from numpy.typing import ArrayLike, NDArray
 
 from dbc._codec import ffi, lib
+from dbc.buses import DATABASES, DIRECTORY
 from dbc.errors import CodecError, ConfigurationError
 from dbc.frames import FRAME_DTYPE, FRAME_SIZE, Buffer, Bus, Station
-from dbc.network import DATABASES, DIRECTORY, MessageFacts, load_network
+
+if TYPE_CHECKING:
+    from cantools.database.can import Message
+
+    from dbc.network import MessageFacts
 
 _DATA_SIZE = 8
 
@@ -377,6 +382,9 @@ class Codec:
 
     @cached_property
     def _facts(self) -> Mapping[str, MessageFacts]:
+        # cantools takes longer to import than all of this to run; most users never need it.
+        from dbc.network import load_network  # noqa: PLC0415
+
         network = {facts.message.name: facts for facts in load_network(self._directory)}
         self.check_sources()
         return network

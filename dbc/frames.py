@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dbc.network import Bus, Station
+from dbc.buses import Bus, Station
 
 __all__ = [
     "FRAME_DTYPE",

@@ -13,8 +13,9 @@ from pathlib import Path
 
 from cantools.database.can import Signal
 
+from dbc.buses import DATABASES, DIRECTORY
 from dbc.errors import ConfigurationError, RaceloopError
-from dbc.network import DATABASES, DIRECTORY, MessageFacts, bit_rate, load_database, load_network, raw_limits
+from dbc.network import MessageFacts, bit_rate, load_database, load_network, raw_limits
 
 PAGE = DIRECTORY.parent / "docs" / "protocol.md"
 

@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 from cantools.database.can import Signal
 
-from dbc.network import DATABASES, DIRECTORY, Bus, MessageFacts, load_database, load_network, raw_limits
+from dbc.buses import DATABASES, DIRECTORY, Bus
+from dbc.network import MessageFacts, load_database, load_network, raw_limits
 from dbc.protocol_page import bus_load
 
 #: Facts of the two public layouts, written down apart from the DBC files. An id with an x has 29 bits.

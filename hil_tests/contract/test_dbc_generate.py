@@ -10,9 +10,10 @@ from pathlib import Path
 
 import pytest
 
+from dbc.buses import DATABASES, DIRECTORY
 from dbc.errors import ConfigurationError
 from dbc.generate import generate_all, main
-from dbc.network import DATABASES, DIRECTORY, load_database, load_network
+from dbc.network import load_database, load_network
 
 
 @pytest.fixture

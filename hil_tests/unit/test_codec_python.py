@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dbc import network
-from dbc._codec import lib
+from dbc._codec import ffi, lib
+from dbc.buses import DATABASES, DIRECTORY
 from dbc.codec import Codec, database
 from dbc.errors import CodecError, ConfigurationError
 from dbc.frames import FRAME_DTYPE, FRAME_SIZE, Bus, Flag, Frame, Station, frame_array, iterate
@@ -169,8 +169,8 @@ def test_frame_array_is_a_view_of_the_c_layout() -> None:
 
 
 def test_changed_or_missing_dbc_file_is_noticed(tmp_path: Path) -> None:
-    for stem in network.DATABASES:
-        shutil.copy(network.DIRECTORY / f"{stem}.dbc", tmp_path)
+    for stem in DATABASES:
+        shutil.copy(DIRECTORY / f"{stem}.dbc", tmp_path)
     Codec(tmp_path).check_sources()
     path = tmp_path / "sensors.dbc"
     path.write_text(path.read_text(encoding="ascii") + "\n", encoding="ascii")
@@ -181,3 +181,16 @@ def test_changed_or_missing_dbc_file_is_noticed(tmp_path: Path) -> None:
     path.unlink()
     with pytest.raises(ConfigurationError, match=r"sensors\.dbc: No such file"):
         Codec(tmp_path).check_sources()
+
+
+def test_generic_functions_refuse_an_unknown_message() -> None:
+    values, data, frame = ffi.new("double[64]"), ffi.new("uint8_t[8]"), ffi.new("can_frame *")
+    for index in (lib.CODEC_MESSAGE_COUNT, 2**32 - 1):
+        assert lib.codec_values_encode(index, values, data) == lib.CODEC_UNKNOWN_ID
+        assert lib.codec_values_decode(index, data, 8, values) == lib.CODEC_UNKNOWN_ID
+        assert lib.codec_values_frame(index, 0, 0, values, frame) == lib.CODEC_UNKNOWN_ID
+        assert lib.codec_values_frames(index, ffi.NULL, 0, values, 1, frame) == lib.CODEC_UNKNOWN_ID
+        assert lib.codec_values_decode_columns(index, frame, ffi.NULL, 0, values) == lib.CODEC_UNKNOWN_ID
+    assert not any(values)
+    assert lib.codec_values_frames(STEERING.index, ffi.NULL, 0, values, 1, frame) == lib.CODEC_OK
+    assert (frame.id, frame.time_us) == (1402, 0)
