@@ -1,0 +1,1 @@
+"""Embedded C of the ECUs, with the sources and the generator of its tables."""

@@ -1,0 +1,213 @@
+#include "obc/fault_detection.h"
+
+#include <math.h>
+#include <stddef.h>
+#include <string.h>
+
+#include "obc/ct_state.h"
+
+enum { WATCHDOG_WINDOW_US = 1000000 };
+
+static void set(fault_conditions *conditions, uint32_t id, bool present, uint32_t detail)
+{
+    conditions->present[id] = present;
+    conditions->detail[id] = detail < UINT16_MAX ? (uint16_t)detail : (uint16_t)UINT16_MAX;
+}
+
+/* A number that is not negative, for a detail. */
+static uint32_t whole(float value)
+{
+    return value > 0.0f && value < (float)UINT16_MAX ? (uint32_t)value : 0U;
+}
+
+static uint32_t milliseconds(const fault_sources *sources, uint32_t index)
+{
+    return (uint32_t)parameters_integer(sources->parameters, index);
+}
+
+static void detect_parameters(fault_detection *self, const fault_sources *sources, fault_conditions *conditions)
+{
+    const parameters *source = sources->parameters;
+    set(conditions, FAULT_PARAMETERS_REJECTED, source->verdict == PARAMETER_VERDICT_REJECTED,
+        (uint32_t)source->rejected + source->missing);
+    set(conditions, FAULT_PARAMETER_WRITE_LATE, source->late != self->late_writes, source->late);
+    self->late_writes = source->late;
+}
+
+static void detect_executive(fault_detection *self, const fault_sources *sources, fault_conditions *conditions)
+{
+    const executive *source = sources->executive;
+    const uint32_t late = source->late_frames + source->missed_frames;
+    if (sources->now_us - self->window_us >= WATCHDOG_WINDOW_US) {
+        self->window_us = sources->now_us;
+        self->window_overruns = source->overruns;
+        self->window_late = late;
+    }
+    set(conditions, FAULT_EXECUTIVE_OVERRUN,
+        source->overruns - self->window_overruns >= milliseconds(sources, PARAMETER_EXECUTIVE_OVERRUN_LIMIT),
+        source->overruns);
+    set(conditions, FAULT_EXECUTIVE_LATE,
+        late - self->window_late >= milliseconds(sources, PARAMETER_EXECUTIVE_LATE_LIMIT), late);
+
+    const executive_record *control = &source->records[sources->control_task];
+    set(conditions, FAULT_CONTROL_LATE, control->overruns != self->control_overruns, control->worst_us);
+    self->control_overruns = control->overruns;
+}
+
+static void detect_launch(const fault_sources *sources, fault_conditions *conditions)
+{
+    const uint64_t timeout_us = (uint64_t)milliseconds(sources, PARAMETER_LAUNCH_REQUEST_TIMEOUT) * 1000U;
+    const bool silent = !sources->launch_seen || sources->now_us - sources->launch_us > timeout_us;
+    set(conditions, FAULT_LAUNCH_WITHDRAWN, silent || !sources->launch_wanted, silent ? 0U : 1U);
+}
+
+/* Faults and parameters of each sensor. */
+typedef struct sensor_row {
+    uint8_t timeout_fault;
+    uint8_t rate_fault;
+    uint8_t size_fault;
+    uint8_t timeout;
+    uint8_t min_rate;
+    uint8_t data_size;
+} sensor_row;
+
+static const sensor_row sensor_rows[SENSOR_COUNT] = {
+    [SENSOR_GNSS_A] = {FAULT_GNSS_A_TIMEOUT, FAULT_GNSS_A_LOW_RATE, FAULT_GNSS_A_WRONG_SIZE, PARAMETER_GNSS_A_TIMEOUT,
+                       PARAMETER_GNSS_A_MIN_RATE, PARAMETER_GNSS_A_DATA_SIZE},
+    [SENSOR_GNSS_B] = {FAULT_GNSS_B_TIMEOUT, FAULT_GNSS_B_LOW_RATE, FAULT_GNSS_B_WRONG_SIZE, PARAMETER_GNSS_B_TIMEOUT,
+                       PARAMETER_GNSS_B_MIN_RATE, PARAMETER_GNSS_B_DATA_SIZE},
+    [SENSOR_IMU] = {FAULT_IMU_TIMEOUT, FAULT_IMU_LOW_RATE, FAULT_IMU_WRONG_SIZE, PARAMETER_IMU_TIMEOUT,
+                    PARAMETER_IMU_MIN_RATE, PARAMETER_IMU_DATA_SIZE},
+};
+
+static void detect_sensors(const fault_sources *sources, fault_conditions *conditions)
+{
+    for (uint32_t i = 0U; i < SENSOR_COUNT; i++) {
+        const sensor_row *row = &sensor_rows[i];
+        const sensor_limits limits = {
+            .timeout_ms = milliseconds(sources, row->timeout),
+            .min_rate = parameters_real(sources->parameters, row->min_rate),
+            .data_size = (uint32_t)parameters_integer(sources->parameters, row->data_size),
+        };
+        const sensor_health health = sensor_monitor_check(sources->sensors, i, &limits, sources->now_us);
+        set(conditions, row->timeout_fault, health.timed_out, health.age_ms);
+        set(conditions, row->rate_fault, health.low_rate, health.rate);
+        set(conditions, row->size_fault, health.wrong_size, health.size);
+    }
+}
+
+/* Faults of each node. */
+typedef struct node_row {
+    uint8_t not_ok;
+    uint8_t failed;
+    uint8_t stalled;
+    uint8_t low_reliability;
+} node_row;
+
+static const node_row node_rows[NODE_COUNT] = {
+    [NODE_ESTIMATION] = {FAULT_ESTIMATION_NOT_OK, FAULT_ESTIMATION_FAILED, FAULT_ESTIMATION_STALLED,
+                         FAULT_ESTIMATION_LOW_RELIABILITY},
+    [NODE_PLANNING] = {FAULT_PLANNING_NOT_OK, FAULT_PLANNING_FAILED, FAULT_PLANNING_STALLED,
+                       FAULT_PLANNING_LOW_RELIABILITY},
+};
+
+static void detect_nodes(const fault_sources *sources, fault_conditions *conditions)
+{
+    const node_limits limits = {
+        .timeout_ms = milliseconds(sources, PARAMETER_NODE_TIMEOUT),
+        .heartbeat_timeout_ms = milliseconds(sources, PARAMETER_NODE_HEARTBEAT_TIMEOUT),
+        .min_reliability = parameters_real(sources->parameters, PARAMETER_NODE_MIN_RELIABILITY),
+    };
+    for (uint32_t i = 0U; i < NODE_COUNT; i++) {
+        const node_row *row = &node_rows[i];
+        const node_health health = node_monitor_check(sources->nodes, i, &limits, sources->now_us);
+        set(conditions, row->not_ok, !health.ok, health.status_code);
+        set(conditions, row->failed, health.failed, health.status_code);
+        set(conditions, row->stalled, health.stalled, health.heartbeat);
+        set(conditions, row->low_reliability, health.unreliable, whole(health.reliability));
+    }
+}
+
+static void detect_estimate_and_plan(const fault_sources *sources, fault_conditions *conditions)
+{
+    const uint8_t quality = sources->estimate->quality;
+    const bool fresh =
+        estimate_receiver_fresh(sources->estimate, milliseconds(sources, PARAMETER_ESTIMATE_TIMEOUT), sources->now_us);
+    set(conditions, FAULT_ESTIMATE_DEGRADED, fresh && quality == ESTIMATE_DEGRADED, quality);
+    set(conditions, FAULT_ESTIMATE_BAD, fresh && quality == ESTIMATE_BAD, quality);
+    set(conditions, FAULT_ESTIMATE_LOST, !fresh || quality == ESTIMATE_LOST, quality);
+
+    const uint64_t age_ms = sources->plan != NULL ? (sources->now_us - sources->plan->received_us) / 1000U : UINT16_MAX;
+    set(conditions, FAULT_PLAN_STALE, age_ms > milliseconds(sources, PARAMETER_PLAN_TIMEOUT), (uint32_t)age_ms);
+}
+
+static void detect_control(const fault_sources *sources, fault_conditions *conditions)
+{
+    const control_output *control = sources->control;
+    const bool valid = control->lateral_valid;
+    set(conditions, FAULT_LATERAL_LOST, !valid && !sources->standing_still, 0U);
+    set(conditions, FAULT_LQR_INVALID, valid && !isfinite(control->road_wheel_angle[CONTROL_LQR]), 0U);
+    set(conditions, FAULT_STANLEY_INVALID, valid && !isfinite(control->road_wheel_angle[CONTROL_STANLEY]), 0U);
+    set(conditions, FAULT_PURE_PURSUIT_INVALID, valid && !isfinite(control->road_wheel_angle[CONTROL_PURE_PURSUIT]),
+        0U);
+    set(conditions, FAULT_COMMAND_INVALID, sources->dbw_violations != 0U, sources->dbw_violations);
+
+    const float lateral = fabsf(sources->vehicle->control.wheel_speed * sources->estimate->estimate.yaw_rate);
+    const float limit = parameters_real(sources->parameters, PARAMETER_MAX_LATERAL_ACCELERATION);
+    set(conditions, FAULT_LATERAL_ACCELERATION_HIGH, lateral > limit, whole(lateral * 100.0f));
+}
+
+static void detect_report(const fault_sources *sources, fault_conditions *conditions, uint32_t fault, uint32_t report,
+                          uint32_t timeout)
+{
+    const uint16_t age_ms = vehicle_feedback_age_ms(sources->vehicle, report, sources->now_us);
+    set(conditions, fault, age_ms > milliseconds(sources, timeout), age_ms);
+}
+
+static void detect_vehicle(const fault_sources *sources, fault_conditions *conditions)
+{
+    detect_report(sources, conditions, FAULT_WHEEL_SPEED_MISSING, VEHICLE_WHEEL_SPEED, PARAMETER_WHEEL_SPEED_TIMEOUT);
+    detect_report(sources, conditions, FAULT_BRAKE_REPORT_MISSING, VEHICLE_BRAKE, PARAMETER_BRAKE_REPORT_TIMEOUT);
+    detect_report(sources, conditions, FAULT_STEERING_REPORT_MISSING, VEHICLE_STEERING,
+                  PARAMETER_STEERING_REPORT_TIMEOUT);
+    detect_report(sources, conditions, FAULT_MISC_REPORT_MISSING, VEHICLE_MISC, PARAMETER_MISC_REPORT_TIMEOUT);
+    detect_report(sources, conditions, FAULT_POWERTRAIN_REPORT_MISSING, VEHICLE_POWERTRAIN,
+                  PARAMETER_POWERTRAIN_REPORT_TIMEOUT);
+    detect_report(sources, conditions, FAULT_DIAGNOSTIC_REPORT_MISSING, VEHICLE_DIAGNOSTIC,
+                  PARAMETER_DIAGNOSTIC_REPORT_TIMEOUT);
+    const uint16_t race_control_age_ms = vehicle_feedback_race_control_age_ms(sources->vehicle, sources->now_us);
+    set(conditions, FAULT_RACE_CONTROL_LOST,
+        race_control_age_ms > milliseconds(sources, PARAMETER_RACE_CONTROL_TIMEOUT), race_control_age_ms);
+    const uint8_t sys_state = sources->vehicle->sys_state;
+    set(conditions, FAULT_RAPTOR_EMERGENCY,
+        sys_state == SYS_EMERGENCY_SHUTDOWN || sys_state == SYS_CRITICAL_LIMIT_EXCEEDED, sys_state);
+}
+
+static void detect_diagnostic(const vehicle_diagnostic *diagnostic, fault_conditions *conditions)
+{
+    set(conditions, FAULT_SD_WARNING, diagnostic->sd_warning, 0U);
+    set(conditions, FAULT_SD_FAILURE, diagnostic->sd_failure, 0U);
+    set(conditions, FAULT_MOTEC_WARNING, diagnostic->motec_warning != 0U, diagnostic->motec_warning);
+    set(conditions, FAULT_EST1_FRONT_BRAKE, diagnostic->est1_front_brake, 0U);
+    set(conditions, FAULT_EST2_REAR_BRAKE, diagnostic->est2_rear_brake, 0U);
+    set(conditions, FAULT_EST3_LOW_ENGINE_SPEED, diagnostic->est3_low_engine_speed, 0U);
+    set(conditions, FAULT_EST4_SD_COMMS_LOSS, diagnostic->est4_sd_comms_loss, 0U);
+    set(conditions, FAULT_EST5_MOTEC_COMMS_LOSS, diagnostic->est5_motec_comms_loss, 0U);
+    set(conditions, FAULT_EST6_SD_EMERGENCY_BRAKE, diagnostic->est6_sd_emergency_brake, 0U);
+    set(conditions, FAULT_ADLINK_HEARTBEAT_LOST, diagnostic->adlink_heartbeat_lost, 0U);
+    set(conditions, FAULT_RAPTOR_LOST_RACE_CONTROL, diagnostic->race_control_lost, 0U);
+}
+
+void fault_detection_step(fault_detection *self, const fault_sources *sources, fault_conditions *conditions)
+{
+    memset(conditions, 0, sizeof *conditions);
+    detect_parameters(self, sources, conditions);
+    detect_executive(self, sources, conditions);
+    detect_launch(sources, conditions);
+    detect_sensors(sources, conditions);
+    detect_nodes(sources, conditions);
+    detect_estimate_and_plan(sources, conditions);
+    detect_control(sources, conditions);
+    detect_vehicle(sources, conditions);
+    detect_diagnostic(&sources->vehicle->diagnostic, conditions);
+}

@@ -1,0 +1,67 @@
+/* Health of the sensors: age, update rate and data size of what they send (SSM-4).
+ *
+ * A sample is the group of frames that starts with the sensor's first message; its size is the number of frames that
+ * came before the next sample started. Only frames that pass the codec count. Nothing is healthy until it was seen.
+ */
+#ifndef RACELOOP_OBC_SENSOR_MONITOR_H
+#define RACELOOP_OBC_SENSOR_MONITOR_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+#include "common/can_frame.h"
+#include "common/codec.h"
+
+enum sensor_id {
+    SENSOR_GNSS_A = 0,
+    SENSOR_GNSS_B = 1,
+    SENSOR_IMU = 2,
+    SENSOR_COUNT = 3,
+};
+
+enum {
+    SENSOR_FRAMES_MAX = 4,     /* messages per sensor */
+    SENSOR_BUCKET_US = 100000, /* the rate is counted in buckets ... */
+    SENSOR_BUCKETS = 11,       /* ... of which ten are full and make one second */
+};
+
+/* Limits of one sensor. */
+typedef struct sensor_limits {
+    uint32_t timeout_ms; /* age of the newest sample */
+    float min_rate;      /* samples per second */
+    uint32_t data_size;  /* frames per sample */
+} sensor_limits;
+
+/* Verdict on one sensor. */
+typedef struct sensor_health {
+    uint16_t age_ms; /* of the newest sample, saturating; 65535 when there was none */
+    uint16_t rate;   /* samples in the last full second */
+    uint16_t size;   /* frames of the newest finished sample */
+    bool timed_out;
+    bool low_rate;
+    bool wrong_size;
+} sensor_health;
+
+/* Reception state of one sensor. */
+typedef struct sensor_state {
+    codec_rx rx[SENSOR_FRAMES_MAX];
+    uint64_t sample_us;               /* start of the newest sample */
+    uint64_t bucket;                  /* number of the bucket being filled */
+    uint16_t buckets[SENSOR_BUCKETS]; /* samples, by number modulo SENSOR_BUCKETS */
+    uint16_t frames;                  /* of the sample being received */
+    uint16_t size;                    /* frames of the newest finished sample; 0: none yet */
+    bool seen;                        /* a sample has started */
+} sensor_state;
+
+/* All sensors: zero it to start. */
+typedef struct sensor_monitor {
+    sensor_state sensors[SENSOR_COUNT];
+} sensor_monitor;
+
+/* Take a frame from CAN-S; frames of no sensor are ignored. now_us: time of the tick, monotonic. */
+void sensor_monitor_push(sensor_monitor *self, const can_frame *frame, uint64_t now_us);
+
+/* Verdict on a sensor. sensor: enum sensor_id below SENSOR_COUNT. now_us: not before the newest push. */
+sensor_health sensor_monitor_check(sensor_monitor *self, uint32_t sensor, const sensor_limits *limits, uint64_t now_us);
+
+#endif
