@@ -1,0 +1,136 @@
+"""`raceloop bench`: this loop and the plain loop side by side, in pairs, on the same stretch of the same scenario.
+
+Machines are noisy, so what counts is the ratio within a pair, and its spread; the two loops take turns.
+"""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+from rich.console import Console
+from rich.table import Table
+
+from autonomy.partition import AutonomyPartition
+from autonomy.track import Track
+from autonomy.track_files import load_track
+from autonomy.vehicle import VehicleLimits, load_vehicle
+from bridge.bench import TICK_US, Bench
+from bridge.scenario import Scenario, load_scenario
+from tools.plain_loop import PlainLoop
+from tools.run import DEFAULT_SCENARIO, build_bench
+
+TARGET_RATIO = 10.0
+TARGET_REAL_TIME = 30.0
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Wall time per tick of both loops over the same stretch, s, and of the parts of this one."""
+
+    ours: float
+    plain: float
+    plant: float
+    autonomy: float
+    frames_per_tick: float
+    plain_frames_per_tick: float
+
+
+def measure(scenario: Scenario, simulated_s: float) -> Pair:
+    """Run both loops from power-on for a stretch and time it.
+
+    Raises
+    ------
+    RaceloopError
+        When a file of the scenario is wrong.
+    """
+    ticks = round(simulated_s * 1e6 / TICK_US)
+    track = load_track(scenario.track)
+    limits = VehicleLimits.from_parameters(scenario.vehicle, load_vehicle(scenario.vehicle))
+    with build_bench(scenario) as bench:
+        ours = _time(bench.tick, ticks) / ticks
+        frames = sum(bus.frames for bus in bench.network.statistics().values())
+        plant = _time_plant(bench, ticks) / ticks
+    with build_bench(scenario) as bench:
+        autonomy = _time_autonomy(bench, ticks) / ticks
+    with PlainLoop(scenario, track, AutonomyPartition(track, limits)) as loop:
+        plain = (_time(loop.tick, ticks) - loop.unpacking_s) / ticks
+        plain_frames = loop.frames
+    return Pair(ours, plain, plant, autonomy, frames / ticks, plain_frames / ticks)
+
+
+def _time(tick: Callable[[], None], ticks: int) -> float:
+    started = time.perf_counter()
+    for _ in range(ticks):
+        tick()
+    return time.perf_counter() - started
+
+
+def _time_plant(bench: Bench, ticks: int) -> float:
+    """The floor under any loop: the FMU alone, from where the run left it."""
+    started = time.perf_counter()
+    for number in range(ticks):
+        bench.plant.step(bench.now_us * 1e-6 + number * TICK_US * 1e-6, TICK_US * 1e-6)
+    return time.perf_counter() - started
+
+
+def _time_autonomy(bench: Bench, ticks: int) -> float:
+    """What autonomy takes of each tick, by a clock around it."""
+    spent = 0.0
+    autonomy = bench.autonomy
+
+    class Clocked:
+        def tick(self, now_us: int, frames: bytes) -> bytes:
+            nonlocal spent
+            started = time.perf_counter()
+            out = autonomy.tick(now_us, frames)
+            spent += time.perf_counter() - started
+            return out
+
+    bench.autonomy = Clocked()
+    for _ in range(ticks):
+        bench.tick()
+    return spent
+
+
+def bench(console: Console, repeats: int, simulated_s: float) -> int:
+    """Print the table; returns 0 when the targets are met, else 1."""
+    scenario = replace(load_scenario(DEFAULT_SCENARIO), time_limit_us=round(simulated_s * 1e6))
+    measure(scenario, min(1.0, simulated_s))  # warm up: imports, caches, page faults
+    pairs = [measure(scenario, simulated_s) for _ in range(repeats)]
+    console.print(
+        f"{scenario.name}: the first {simulated_s:g} s, {repeats} pairs, without recording,"
+        f" {statistics.median(pair.frames_per_tick for pair in pairs):.1f} frames per tick"
+        f" (plain loop {statistics.median(pair.plain_frames_per_tick for pair in pairs):.1f})"
+    )
+    tick_s = TICK_US * 1e-6
+    table = Table()
+    for heading in ("per tick", "min us", "median us", "max us", "times real time"):
+        table.add_column(heading, justify="left" if heading == "per tick" else "right")
+    for name, times in (
+        ("this loop", [pair.ours for pair in pairs]),
+        ("  of it autonomy", [pair.autonomy for pair in pairs]),
+        ("  of it the FMU", [pair.plant for pair in pairs]),
+        ("plain loop", [pair.plain for pair in pairs]),
+    ):
+        median = statistics.median(times)
+        table.add_row(
+            name, f"{min(times) * 1e6:.0f}", f"{median * 1e6:.0f}", f"{max(times) * 1e6:.0f}", f"{tick_s / median:.1f}"
+        )
+    console.print(table)
+    ratios = [pair.plain / pair.ours for pair in pairs]
+    real_time = [tick_s / pair.ours for pair in pairs]
+    met = True
+    for name, values, target in (
+        ("plain loop / this loop", ratios, TARGET_RATIO),
+        ("times real time", real_time, TARGET_REAL_TIME),
+    ):
+        median = statistics.median(values)
+        met &= median >= target
+        console.print(
+            f"{name}: min {min(values):.1f}, median {median:.1f}, max {max(values):.1f}"
+            f" (target {target:g}: {'met' if median >= target else 'missed'})"
+        )
+    return 0 if met else 1

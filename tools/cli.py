@@ -1,0 +1,87 @@
+"""The `raceloop` command."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from rich.console import Console
+
+from dbc.errors import RaceloopError
+
+USER_ERROR = 2
+"""Exit status for a mistake in what the user gave; also argparse's."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command; returns the exit status."""
+    options = _parser().parse_args(arguments)
+    console = Console(highlight=False, soft_wrap=not sys.stdout.isatty())
+    try:
+        return _dispatch(options, console)
+    except RaceloopError as error:
+        print(f"raceloop: {error}", file=sys.stderr)
+        return USER_ERROR
+    except KeyboardInterrupt:
+        print("raceloop: interrupted; nothing was written", file=sys.stderr)
+        return 130
+
+
+def _dispatch(options: argparse.Namespace, console: Console) -> int:
+    """Import what the command needs only: `--help` and errors answer at once."""
+    if options.command == "run":
+        from tools.run import run  # noqa: PLC0415
+
+        return run(options.scenario, options.out, console, options.rt_ratio)
+    if options.command == "check-params":
+        from tools.check_params import check_params  # noqa: PLC0415
+
+        return check_params(options.file, console)
+    from tools.bench import bench  # noqa: PLC0415
+
+    return bench(console, options.repeats, options.simulated_s)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="raceloop", description="Hardware-in-the-loop CAN bench for autonomous race cars")
+    commands = parser.add_subparsers(dest="command", required=True)
+
+    run = commands.add_parser("run", help="drive a scenario and record it")
+    run.add_argument("scenario", nargs="?", help="YAML file, or the name of a shipped scenario (default: solo_lap)")
+    run.add_argument("--out", type=Path, default=Path("out"), metavar="DIR", help="folder of the recording (default: out)")
+    run.add_argument(
+        "--rt-ratio",
+        type=_positive,
+        metavar="N",
+        help="simulated seconds per second of the wall clock (default: as fast as possible)",
+    )
+
+    check = commands.add_parser("check-params", help="let the firmware validate an operation configuration")
+    check.add_argument("file", type=Path, help="YAML file")
+
+    bench = commands.add_parser("bench", help="measure the loop against the plain loop a user would write")
+    bench.add_argument("--repeats", type=_count, default=5, help="pairs of runs (default: 5)")
+    bench.add_argument(
+        "--simulated-s", type=_positive, default=10.0, metavar="S", help="simulated seconds per run (default: 10)"
+    )
+    return parser
+
+
+def _positive(text: str) -> float:
+    value = float(text)
+    if not 0.0 < value < float("inf"):
+        raise argparse.ArgumentTypeError("must be a number above 0")
+    return value
+
+
+def _count(text: str) -> int:
+    value = int(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError("must be at least 1")
+    return value
+
+
+if __name__ == "__main__":
+    sys.exit(main())
