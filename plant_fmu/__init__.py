@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import os
+import sysconfig
 from collections.abc import Iterator
-from importlib import resources
 from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
 
 __all__ = ["FMU_DIR_VARIABLE", "fmu_path"]
 
@@ -18,18 +20,11 @@ def _folders() -> Iterator[Path]:
     if override:
         yield Path(override)
         return  # an override that does not hold must not fall back to another FMU
-    # Installed: one folder or, in an editable install, the source and the build's folder.
-    seen: set[Path] = set()
-    package = resources.files(__name__)
-    for candidate in [Path(str(package)), *(Path(entry) for entry in __path__)]:
-        if candidate not in seen:
-            seen.add(candidate)
-            yield candidate
-    try:
-        spec_origin = package.joinpath("fmu")
-        yield Path(str(spec_origin))
-    except (OSError, ValueError):
-        return
+    # An editable install has two: the sources' folder, and the installed one with the built files.
+    yield HERE
+    yield from (Path(entry) for entry in __path__ if Path(entry) != HERE)
+    paths = sysconfig.get_paths()
+    yield from (Path(paths[kind]) / __name__ for kind in ("platlib", "purelib"))
 
 
 def fmu_path(fmi_version: int = 3) -> Path:

@@ -13,13 +13,20 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-import fmpy
-from fmpy.fmi2 import FMU2Slave
-from fmpy.fmi3 import FMU3Slave
+import fmpy.fmi2
+import fmpy.fmi3
 
 from plant_fmu import fmu_path
 
 Value = float | int | bool
+
+_fmpy: Any = fmpy
+"""fmpy without its type hints, which cover only a part of it."""
+
+
+def read_description(path: Path) -> Any:
+    """Return fmpy's model description of an FMU."""
+    return _fmpy.read_model_description(str(path))
 
 
 class Plant:
@@ -39,12 +46,12 @@ class Plant:
         start_time: float = 0.0,
     ) -> None:
         fmu = path if path is not None else fmu_path(fmi_version)
-        self.description = fmpy.read_model_description(str(fmu))
+        self.description = read_description(fmu)
         self.fmi_version = 3 if self.description.fmiVersion.startswith("3") else 2
         self.step_s = step_s
         self.start_time = start_time
         self.messages: list[str] = []
-        self._folder = fmpy.extract(str(fmu))
+        self._folder = str(_fmpy.extract(str(fmu)))
         self._types = {v.name: v.type for v in self.description.modelVariables}
         self._references = {v.name: v.valueReference for v in self.description.modelVariables}
         arguments: dict[str, Any] = {
@@ -53,10 +60,10 @@ class Plant:
             "instanceName": "car",
         }
         if self.fmi_version == 3:
-            self.fmu = FMU3Slave(guid=self.description.instantiationToken, **arguments)
+            self.fmu: Any = _fmpy.fmi3.FMU3Slave(guid=self.description.instantiationToken, **arguments)
             self.fmu.instantiate(logMessage=self._log3)
         else:
-            self.fmu = FMU2Slave(guid=self.description.guid, **arguments)
+            self.fmu = _fmpy.fmi2.FMU2Slave(guid=self.description.guid, **arguments)
             self.fmu.instantiate()
         self.initialise(parameters)
 

@@ -12,7 +12,7 @@ import fmpy
 import pytest
 
 from plant_fmu import fmu_path, package
-from plant_fmu.driver import Plant
+from plant_fmu.driver import Plant, read_description
 
 HOST = package.HERE / "examples" / "c_host.c"
 HEADERS = Path(fmpy.__file__).parent / "c-code"
@@ -25,16 +25,13 @@ def unpack(folder: Path) -> tuple[Path, str]:
     with zipfile.ZipFile(fmu_path(3)) as archive:
         archive.extractall(folder)
     library = next((folder / "binaries").rglob("raceloop_plant_fmi3.*"))
-    return library, fmpy.read_model_description(str(fmu_path(3))).instantiationToken
+    return library, str(read_description(fmu_path(3)).instantiationToken)
 
 
 def compile_host(folder: Path, compiler: str) -> Path:
     program = folder / "c_host"
-    subprocess.run(
-        [compiler, "-std=c11", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-isystem", str(HEADERS)]
-        + [str(HOST), "-ldl", "-o", str(program)],
-        check=True,
-    )
+    flags = ["-std=c11", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-isystem", str(HEADERS)]
+    subprocess.run([compiler, *flags, str(HOST), "-ldl", "-o", str(program)], check=True)
     return program
 
 
@@ -85,13 +82,18 @@ def test_sources_inside_the_fmu_compile_to_the_same_model(tmp_path: Path, compil
     _, token = unpack(tmp_path)
     sources = tmp_path / "sources"
     rebuilt = tmp_path / "rebuilt.so"
-    subprocess.run(
-        [compiler, "-std=c11", "-O2", "-ffp-contract=off", "-fPIC", "-shared", "-fvisibility=hidden"]
-        + ["-isystem", str(HEADERS)]
-        + [str(sources / name) for name in package.source_files(3)]
-        + ["-lm", "-o", str(rebuilt)],
-        check=True,
-    )
+    flags = [
+        "-std=c11",
+        "-O2",
+        "-ffp-contract=off",
+        "-fPIC",
+        "-shared",
+        "-fvisibility=hidden",
+        "-isystem",
+        str(HEADERS),
+    ]
+    files = [str(sources / name) for name in package.source_files(3)]
+    subprocess.run([compiler, *flags, *files, "-lm", "-o", str(rebuilt)], check=True)
     speed, _ = run_host(compile_host(tmp_path, compiler), rebuilt, token)
     start = {"v0": 50.0, "gear0": 5, "gear_demand": 5, "engine_running0": True, "ignition": True}
     with Plant(start) as car:

@@ -6,13 +6,16 @@ import ctypes
 import zipfile
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
-import fmpy
 import pytest
+from fmpy.fmi1 import FMICallException
+from fmpy.fmi2 import FMU2Slave
+from fmpy.fmi3 import FMU3Slave
 from fmpy.validation import validate_fmu
 
 from plant_fmu import fmu_path, package
-from plant_fmu.driver import Plant, Value
+from plant_fmu.driver import Plant, Value, read_description
 
 START: dict[str, Value] = {
     "v0": 25.0,
@@ -164,18 +167,18 @@ def test_foreign_bytes_are_refused_and_change_nothing(car: Plant) -> None:
     before = car.outputs()
     data[20] ^= 1  # inside the token
     wrong = _deserialize(car, bytes(data))
-    with pytest.raises(Exception, match="(?i)status"):
+    with pytest.raises(FMICallException):
         _set_state(car, wrong)
     _free_state(car, wrong)
     assert car.outputs() == before
-    with pytest.raises(Exception, match="(?i)status"):
+    with pytest.raises(FMICallException):
         _deserialize(car, bytes(data[:-1]))
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf"), -float("inf")])
 def test_values_that_are_not_finite_are_refused(car: Plant, value: float) -> None:
     before = car["throttle_demand"]
-    with pytest.raises(Exception, match="(?i)status"):
+    with pytest.raises(FMICallException):
         car["throttle_demand"] = value
     assert car["throttle_demand"] == before
     car.step()
@@ -183,7 +186,7 @@ def test_values_that_are_not_finite_are_refused(car: Plant, value: float) -> Non
 
 @pytest.mark.parametrize("fmi_version", VERSIONS)
 def test_parameter_outside_its_range_is_refused(fmi_version: int) -> None:
-    with pytest.raises(Exception, match="(?i)status"):
+    with pytest.raises(FMICallException):
         Plant({"mass": -5.0}, fmi_version=fmi_version)
 
 
@@ -196,16 +199,16 @@ def test_messages_say_what_is_wrong_and_what_is_allowed() -> None:
             ("vx", 3.0, "vx is an output and cannot be set."),
         ]
         for name, value, message in cases:
-            with pytest.raises(Exception, match="(?i)status"):
+            with pytest.raises(FMICallException):
                 car[name] = value
             assert message in car.messages[-1]
-        with pytest.raises(Exception, match="(?i)status"):
+        with pytest.raises(FMICallException):
             car.fmu.getFloat64([9999])
         assert "value reference 9999 does not exist" in car.messages[-1]
-        with pytest.raises(Exception, match="(?i)status"):
+        with pytest.raises(FMICallException):
             car.fmu.getFloat64([package.read_variables()[4].reference])
         assert "gear_demand (value reference 4) is integer, not real." in car.messages[-1]
-        with pytest.raises(Exception, match="(?i)status"):
+        with pytest.raises(FMICallException):
             car.fmu.getFloat32([1])
         assert "does not support" in car.messages[-1]
 
@@ -219,25 +222,25 @@ def test_tunable_parameter_may_change_while_driving(car: Plant) -> None:
 
 @pytest.mark.parametrize("step", [0.0, -0.01, 0.0005, 0.0015, float("nan"), 1e300])
 def test_step_that_is_no_multiple_of_the_inner_step_is_refused(car: Plant, step: float) -> None:
-    with pytest.raises(Exception, match="(?i)status"):
+    with pytest.raises(FMICallException):
         car.fmu.doStep(0.0, step)
     car.step()
 
 
 def test_step_from_another_time_is_refused(car: Plant) -> None:
     car.step()
-    with pytest.raises(Exception, match="(?i)status"):
+    with pytest.raises(FMICallException):
         car.fmu.doStep(5.0, 0.01)
     car.step()
 
 
 def test_calls_in_the_wrong_state_are_refused(car: Plant) -> None:
-    with pytest.raises(Exception, match="(?i)status"):
+    with pytest.raises(FMICallException):
         car.fmu.exitInitializationMode()
-    with pytest.raises(Exception, match="(?i)status"):
+    with pytest.raises(FMICallException):
         car.fmu.enterInitializationMode()
     car.fmu.terminate()
-    with pytest.raises(Exception, match="(?i)status"):
+    with pytest.raises(FMICallException):
         car.fmu.doStep(0.0, 0.01)
     car.reset(START)
     car.step()
@@ -245,16 +248,18 @@ def test_calls_in_the_wrong_state_are_refused(car: Plant) -> None:
 
 def test_wrong_token_is_refused(tmp_path: Path) -> None:
     for version in VERSIONS:
-        description = fmpy.read_model_description(str(fmu_path(version)))
-        folder = fmpy.extract(str(fmu_path(version)), unzipdir=str(tmp_path / str(version)))
+        description = read_description(fmu_path(version))
+        folder = tmp_path / str(version)
+        with zipfile.ZipFile(fmu_path(version)) as archive:
+            archive.extractall(folder)
         arguments = {
             "guid": "{00000000-0000-0000-0000-000000000000}",
-            "unzipDirectory": folder,
+            "unzipDirectory": str(folder),
             "modelIdentifier": description.coSimulation.modelIdentifier,
             "instanceName": "car",
         }
-        slave = (fmpy.fmi3.FMU3Slave if version == 3 else fmpy.fmi2.FMU2Slave)(**arguments)
-        with pytest.raises(Exception, match="(?i)instantiate"):
+        slave: Any = (FMU3Slave if version == 3 else FMU2Slave)(**arguments)
+        with pytest.raises(Exception, match="Failed to instantiate"):
             slave.instantiate()
 
 

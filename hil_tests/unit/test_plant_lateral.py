@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 import pytest
 
@@ -195,7 +196,7 @@ def test_steering_dead_time_rate_and_end_stop() -> None:
         for _ in range(150):
             car.step(0.01)
             angles.append(float(car["steer_motor_angle"]))
-        rates = [(b - a) / 0.01 for a, b in zip(angles, angles[1:], strict=False)]
+        rates = [(b - a) / 0.01 for a, b in pairwise(angles)]
         assert max(rates) == pytest.approx(math.radians(500.0), rel=1e-3)
         assert angles[-1] == pytest.approx(math.radians(240.0), rel=1e-3)
         assert max(angles) <= math.radians(240.0) + 1e-12
