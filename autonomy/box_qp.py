@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from scipy.sparse import csc_array, diags_array
 from scipy.sparse.linalg import splu
 
 from autonomy.frenet import FloatArray
+
+_ITERATIONS = 100
 
 
 def solve_box_qp(
@@ -33,45 +37,47 @@ def solve_box_qp(
     ArithmeticError : no convergence, which only an ill-posed problem shows.
     """
     count = len(gradient)
-    width = upper - lower
+    box = np.concatenate((lower, -upper))
+    scale = max(1.0, float(np.max(np.abs(hessian @ (0.5 * (lower + upper)) + gradient))))
     x = 0.5 * (lower + upper)
-    scale = max(1.0, float(np.max(np.abs(hessian @ x + gradient)))) if count else 1.0
-    below, above = np.full(count, scale), np.full(count, scale)  # multipliers of the bounds
-    for _ in range(100):
-        low_gap, high_gap = x - lower, upper - x
-        residual = hessian @ x + gradient - below + above
-        complementarity = float(below @ low_gap + above @ high_gap) / (2 * count)
-        if complementarity < tolerance * scale * float(np.mean(width)) and np.max(np.abs(residual)) < tolerance * scale:
+    multipliers = np.full(2 * count, scale)
+    for _ in range(_ITERATIONS):
+        # Both bounds in one vector: gaps of x - lower and upper - x.
+        gaps = np.concatenate((x, -x)) - box
+        residual = hessian @ x + gradient - multipliers[:count] + multipliers[count:]
+        mean = float(multipliers @ gaps) / (2 * count)
+        if mean < tolerance * scale * float(np.mean(upper - lower)) and np.max(np.abs(residual)) < tolerance * scale:
             return x
-        factor = splu(csc_array(hessian + diags_array(below / low_gap + above / high_gap)))
-
-        def step(low_target: FloatArray, high_target: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-            """Newton step towards low_gap * below = low_target and high_gap * above = high_target."""
-            low_rest, high_rest = low_target / low_gap - below, high_target / high_gap - above
-            dx = factor.solve(-residual + low_rest - high_rest)
-            return dx, low_rest - below * dx / low_gap, high_rest + above * dx / high_gap
-
-        dx, d_below, d_above = step(np.zeros(count), np.zeros(count))
-        reach = _reach(low_gap, dx, high_gap, below, d_below, above, d_above, 1.0)
-        predicted = (
-            float((low_gap + reach * dx) @ (below + reach * d_below))
-            + float((high_gap - reach * dx) @ (above + reach * d_above))
-        ) / (2 * count)
-        centring = (predicted / complementarity) ** 3 * complementarity
-        dx, d_below, d_above = step(centring - dx * d_below, centring + dx * d_above)
-        reach = _reach(low_gap, dx, high_gap, below, d_below, above, d_above, 0.995)
-        x, below, above = x + reach * dx, below + reach * d_below, above + reach * d_above
+        newton = _Newton(hessian, gaps, multipliers, residual)
+        change, multiplier_change = newton.step(np.zeros(2 * count))
+        reach = min(_reach(gaps, change), _reach(multipliers, multiplier_change))
+        predicted = float((gaps + reach * change) @ (multipliers + reach * multiplier_change)) / (2 * count)
+        centring = (predicted / mean) ** 3 * mean
+        change, multiplier_change = newton.step(centring - change * multiplier_change)
+        reach = min(1.0, 0.995 * min(_reach(gaps, change, math.inf), _reach(multipliers, multiplier_change, math.inf)))
+        x = x + reach * change[:count]
+        multipliers = multipliers + reach * multiplier_change
     raise ArithmeticError("the quadratic program does not converge")
 
 
-def _reach(
-    low_gap: FloatArray, dx: FloatArray, high_gap: FloatArray, below: FloatArray, d_below: FloatArray,
-    above: FloatArray, d_above: FloatArray, fraction: float,
-) -> float:
-    """Longest step, at most 1, that keeps gaps and multipliers positive."""
-    reach = 1.0
-    for value, change in ((low_gap, dx), (high_gap, -dx), (below, d_below), (above, d_above)):
-        shrinking = change < 0.0
-        if np.any(shrinking):
-            reach = min(reach, fraction * float(np.min(-value[shrinking] / change[shrinking])))
-    return reach
+class _Newton:
+    """Newton steps of one iterate; they share one factorisation."""
+
+    def __init__(self, hessian: csc_array, gaps: FloatArray, multipliers: FloatArray, residual: FloatArray) -> None:
+        self._gaps, self._multipliers, self._residual = gaps, multipliers, residual
+        ratio = (multipliers / gaps).reshape(2, -1).sum(axis=0)
+        self._factor = splu(csc_array(hessian + diags_array(ratio)))
+
+    def step(self, target: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Change of gaps and multipliers towards gaps * multipliers = target."""
+        rest = target / self._gaps - self._multipliers
+        low, high = rest.reshape(2, -1)
+        dx = self._factor.solve(low - high - self._residual)
+        change = np.concatenate((dx, -dx))
+        return change, rest - self._multipliers * change / self._gaps
+
+
+def _reach(value: FloatArray, change: FloatArray, longest: float = 1.0) -> float:
+    """Longest step that leaves no value negative."""
+    shrinking = change < 0.0
+    return min(longest, float(np.min(-value[shrinking] / change[shrinking], initial=longest)))

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from filterpy.kalman import KalmanFilter
@@ -114,7 +115,8 @@ class GnssFilter:
 
     def __init__(self, tuning: FilterTuning) -> None:
         self._tuning = tuning
-        self._kalman = KalmanFilter(dim_x=_STATES, dim_z=_MEASUREMENTS)
+        # filterpy has no types; all of it stays behind this attribute.
+        self._kalman: Any = KalmanFilter(dim_x=_STATES, dim_z=_MEASUREMENTS)  # type: ignore[no-untyped-call]
         self._kalman.H = np.eye(_MEASUREMENTS, _STATES)
         self._transition = np.eye(_STATES)
         self._process = np.zeros((_STATES, _STATES))
@@ -132,8 +134,14 @@ class GnssFilter:
         self.velocity_east, self.velocity_north = gnss.velocity_east, gnss.velocity_north
         self.bias_ax = self.bias_ay = self.bias_yaw_rate = 0.0
         deviations = (
-            gnss.std_x, gnss.std_y, gnss.std_velocity, gnss.std_velocity, gnss.std_yaw,
-            t.start_acceleration_bias, t.start_acceleration_bias, t.start_yaw_rate_bias,
+            gnss.std_x,
+            gnss.std_y,
+            gnss.std_velocity,
+            gnss.std_velocity,
+            gnss.std_yaw,
+            t.start_acceleration_bias,
+            t.start_acceleration_bias,
+            t.start_yaw_rate_bias,
         )
         self._kalman.x = np.zeros((_STATES, 1))
         self._kalman.P = np.diag(np.square(deviations))
@@ -196,8 +204,15 @@ class GnssFilter:
         Whether it was used. `distance` tells how far off it was.
         """
         self.propagate_covariance()
-        innovation = np.array([[gnss.x - self.x], [gnss.y - self.y], [gnss.velocity_east - self.velocity_east],
-                               [gnss.velocity_north - self.velocity_north], [wrap_angle(gnss.yaw - self.yaw)]])
+        innovation = np.array(
+            [
+                [gnss.x - self.x],
+                [gnss.y - self.y],
+                [gnss.velocity_east - self.velocity_east],
+                [gnss.velocity_north - self.velocity_north],
+                [wrap_angle(gnss.yaw - self.yaw)],
+            ]
+        )
         noise = np.diag([gnss.std_x**2, gnss.std_y**2, gnss.std_velocity**2, gnss.std_velocity**2, gnss.std_yaw**2])
         covariance = self._kalman.P[:_MEASUREMENTS, :_MEASUREMENTS] + noise
         self.distance = math.sqrt((innovation.T @ np.linalg.solve(covariance, innovation)).item())

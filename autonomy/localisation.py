@@ -110,17 +110,24 @@ class _Receiver:
         if not self.filter.started or age > limits.bad_age_us:
             self.quality = Quality.LOST
             self.distance = math.inf
-        elif (age <= limits.good_age_us and self.distance <= limits.good_distance
-              and self.deviation() <= limits.good_deviation):
+        elif (
+            age <= limits.good_age_us
+            and self.distance <= limits.good_distance
+            and self.deviation() <= limits.good_deviation
+        ):
             self.quality = Quality.GOOD
-        elif (age <= limits.degraded_age_us and self.distance <= limits.degraded_distance
-              and self.deviation() <= limits.degraded_deviation):
+        elif (
+            age <= limits.degraded_age_us
+            and self.distance <= limits.degraded_distance
+            and self.deviation() <= limits.degraded_deviation
+        ):
             self.quality = Quality.DEGRADED
         else:
             self.quality = Quality.BAD
 
     def deviation(self) -> float:
-        """The errors of a receiver drift together, so averaging its epochs does not beat what it reports."""
+        """Return 1 sigma of the position, m."""
+        # The errors of a receiver drift together: averaging its epochs does not beat what it reports.
         return max(self.filter.position_deviation(), self.reported_deviation)
 
 
@@ -204,8 +211,10 @@ class Localiser:
     def _switch(self, old: GnssFilter, new: GnssFilter) -> None:
         dx, dy, de, dn, dyaw = self._offset
         self._offset = (
-            old.x + dx - new.x, old.y + dy - new.y,
-            old.velocity_east + de - new.velocity_east, old.velocity_north + dn - new.velocity_north,
+            old.x + dx - new.x,
+            old.y + dy - new.y,
+            old.velocity_east + de - new.velocity_east,
+            old.velocity_north + dn - new.velocity_north,
             wrap_angle(old.yaw + dyaw - new.yaw),
         )
         self._active = 1 - self._active

@@ -42,7 +42,7 @@ class GnssInbox:
         self.sample: GnssSample | None = None
 
     def receiver(self, part: int) -> Callable[[bytes], None]:
-        """Callback for the data of one part: 0 position, 1 velocity, 2 attitude, 3 quality."""
+        """Return the callback for the data of one part: 0 position, 1 velocity, 2 attitude, 3 quality."""
 
         def receive(data: bytes) -> None:
             # The position frame has the lowest identifier: it opens an epoch, and what is left of the last one goes.
@@ -57,7 +57,7 @@ class GnssInbox:
         return receive
 
     def take(self) -> GnssSample | None:
-        """The epoch completed since the last call, or None."""
+        """Return the epoch completed since the last call, or None."""
         sample, self.sample = self.sample, None
         return sample
 
@@ -70,7 +70,8 @@ class GnssInbox:
         std_x, std_y, _, fix_type, _, quality_counter = quality
         if not velocity_counter == attitude_counter == quality_counter or fix_type == 0:
             return  # frames of different epochs, or no solution
-        x, y, _ = self._plane.to_enu(*position, self._plane.height)
+        latitude, longitude = position
+        x, y, _ = self._plane.to_enu(latitude, longitude, self._plane.height)
         self.sample = GnssSample(
             x=x,
             y=y,
@@ -118,7 +119,7 @@ class Inbox:
             handler(data)
 
     def imu(self) -> ImuSample | None:
-        """The sample that arrived since the last call, when it is whole."""
+        """Return the sample that arrived since the last call, when it is whole."""
         rates, force = self._latest.pop(self._rates.frame_id, None), self._latest.pop(self._force.frame_id, None)
         if rates is None or force is None:
             return None
@@ -131,7 +132,7 @@ class Inbox:
         return self._gnss[0].take(), self._gnss[1].take()
 
     def ssm_status(self) -> SsmStatus | None:
-        """The newest, or None before the first."""
+        """Return the newest, or None before the first."""
         data = self._latest.get(self._ssm.frame_id)
         if data is None:
             return None
@@ -139,7 +140,7 @@ class Inbox:
         return SsmStatus(int(values[0]), values[5], values[6], values[7])
 
     def vehicle_status(self) -> VehicleStatus | None:
-        """The newest, or None before the first."""
+        """Return the newest, or None before the first."""
         data = self._latest.get(self._vehicle.frame_id)
         if data is None:
             return None
@@ -172,8 +173,14 @@ class EstimateWriter:
             self._position.frame(_clip(e.x, 67000.0), _clip(e.y, 67000.0), self._counter)
             + self._motion.frame(_clip(e.vx, 163.0), _clip(e.vy, 163.0), e.yaw, _clip(e.yaw_rate, 6.5))
             + self._quality.frame(
-                _clip(e.ax, 102.0), _clip(e.ay, 102.0), e.source, e.quality,
-                min(e.distance_a, 51.15), min(e.distance_b, 51.15), min(e.deviation, 2.55), self._counter,
+                _clip(e.ax, 102.0),
+                _clip(e.ay, 102.0),
+                e.source,
+                e.quality,
+                min(e.distance_a, 51.15),
+                min(e.distance_b, 51.15),
+                min(e.deviation, 2.55),
+                self._counter,
             )
         )
 
@@ -201,9 +208,7 @@ class PlanWriter:
         points[:, 0], points[:, 1] = self._counter, index
         points[:, 2], points[:, 3], points[:, 4], points[:, 5] = plan.yaw, plan.curvature, plan.speed, plan.bank
         motion = self._motion.frames(points)
-        both = b"".join(
-            pose[i : i + FRAME_SIZE] + motion[i : i + FRAME_SIZE] for i in range(0, len(pose), FRAME_SIZE)
-        )
+        both = b"".join(pose[i : i + FRAME_SIZE] + motion[i : i + FRAME_SIZE] for i in range(0, len(pose), FRAME_SIZE))
         header = self._header.frame(
             self._counter, count, plan.mission, plan.ends_in_stop, 0, plan.origin_s, (now_us // 1000) & 0xFFFFFFFF
         )

@@ -90,8 +90,10 @@ class AutonomyPartition:
         lost = estimate.quality is Quality.LOST
         return (
             self._status(
-                NodeStatus.ERROR if lost else NodeStatus.OK, reliability,
-                self._planning_status, reliability if self._planning_status is NodeStatus.OK else 0.0,
+                NodeStatus.ERROR if lost else NodeStatus.OK,
+                reliability,
+                self._planning_status,
+                reliability if self._planning_status is NodeStatus.OK else 0.0,
             )
             + self._estimate_writer.frames(estimate)
             + next(self._portions, b"")

@@ -159,7 +159,7 @@ class Planner:
         if mission is Mission.HOLD:
             self._speed, self._acceleration = [0.0] * POINTS, [0.0] * POINTS
         else:
-            self._speed, self._acceleration = self._march(first, step, speed, acceleration, max_speed, ssm)
+            self._speed, self._acceleration = self._march((first, step), (speed, acceleration), max_speed, ssm)
         self._first, self._step, self._mission = first, step, mission
         return self._cut()
 
@@ -200,13 +200,18 @@ class Planner:
         return math.floor((station - self._settings.behind) / (step * spacing)) * step % self._race_path.count, step
 
     def _planned(self, node: float) -> tuple[float, float]:
-        """Speed and acceleration of the last plan at a node position; 0 outside it."""
-        position = (node - self._first) % self._race_path.count / self._step
-        i = int(position)
-        if i >= POINTS - 1:
+        """Speed and acceleration of the last plan at a node position; 0 beyond its end."""
+        count = self._race_path.count
+        position = ((node - self._first + count // 2) % count - count // 2) / self._step
+        if position >= POINTS - 1:
             return 0.0, 0.0
+        # A longer step may put the new first point before the old one: carry the first acceleration back.
+        i = max(0, int(position))
         fraction = position - i
         low, high = self._speed[i] ** 2, self._speed[i + 1] ** 2
+        if fraction < 0.0:
+            squared = low + 2.0 * fraction * self._step * self._race_path.spacing * self._acceleration[0]
+            return math.sqrt(max(0.0, squared)), self._acceleration[0]
         acceleration = self._acceleration[i] if fraction == 0.0 else self._acceleration[i + 1]
         return math.sqrt(low + fraction * (high - low)), acceleration
 
@@ -222,9 +227,10 @@ class Planner:
         return (first + math.ceil(distance / self._race_path.spacing)) % self._race_path.count
 
     def _march(
-        self, first: int, step: int, speed: float, acceleration: float, max_speed: float, ssm: SsmStatus
+        self, grid: tuple[int, int], start: tuple[float, float], max_speed: float, ssm: SsmStatus
     ) -> tuple[list[float], list[float]]:
-        """Speeds of the points from the first one on, and the acceleration with which each is reached."""
+        """Speeds of the points on the grid (first node, nodes per point), and the accelerations that lead to them."""
+        (first, step), (speed, acceleration) = grid, start
         count, spacing = self._race_path.count, self._race_path.spacing
         distance = step * spacing
         jerk, deceleration = self._settings.jerk, self._deceleration(ssm)

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from autonomy.frenet import Curve, FloatArray, Projector
 from autonomy.raceline import lateral_offsets, minimum_curvature_path
-from autonomy.speed_profile import ProfileLimits, closed_profile, corner_speeds
+from autonomy.speed_profile import PathShape, ProfileLimits, closed_profile, corner_speeds
 from autonomy.track import Track
 from autonomy.vehicle import VehicleLimits
 
 NODE_SPACING = 1.5  # m, about
-# Plan points lie on every first to fifth node; a count that all of these divide keeps them on the same nodes lap by lap.
+# Plan points lie on every first to fifth node; a count that all of these divide keeps them on the same nodes.
 NODE_MULTIPLE = 60
 
 
@@ -53,8 +53,8 @@ class PathSettings:
     clearance: float = 2.2
     blend_length: float = 200.0
     lead_in: float = 20.0
-    limits: ProfileLimits = ProfileLimits(
-        max_speed=90.0, max_deceleration=6.0, friction_margin=0.85
+    limits: ProfileLimits = field(
+        default_factory=lambda: ProfileLimits(max_speed=90.0, max_deceleration=6.0, friction_margin=0.85)
     )
 
 
@@ -85,7 +85,9 @@ class RacePath:
             yaw=_wrapped(self.curve.heading),
             curvature=self.curve.curvature,
             bank=bank,
-            speed_limit=closed_profile(self.spacing, self.curve.curvature, bank, vehicle, self._settings.limits),
+            speed_limit=closed_profile(
+                PathShape(self.spacing, self.curve.curvature, bank), vehicle, self._settings.limits
+            ),
             track_station=stations,
         )
 
@@ -127,8 +129,12 @@ class RacePath:
         cos, tan = np.cos(delta), np.tan(delta)
         bent = ((d2 + (k1 * d + k * d1) * tan) * cos**2 / stretch + k) * cos / stretch
         path = replace(
-            self.race, x=self.race.x.copy(), y=self.race.y.copy(), yaw=self.race.yaw.copy(),
-            curvature=self.race.curvature.copy(), speed_limit=self.race.speed_limit.copy(),
+            self.race,
+            x=self.race.x.copy(),
+            y=self.race.y.copy(),
+            yaw=self.race.yaw.copy(),
+            curvature=self.race.curvature.copy(),
+            speed_limit=self.race.speed_limit.copy(),
         )
         heading_at = self.curve.heading[nodes]
         path.x[nodes] = self.race.x[nodes] - d * np.sin(heading_at)
@@ -136,7 +142,8 @@ class RacePath:
         path.yaw[nodes] = _wrapped(heading_at + delta)
         path.curvature[nodes] = bent
         path.speed_limit[nodes] = np.minimum(
-            path.speed_limit[nodes], corner_speeds(bent, self.race.bank[nodes], self._vehicle, settings.limits)
+            path.speed_limit[nodes],
+            corner_speeds(PathShape(self.spacing, bent, self.race.bank[nodes]), self._vehicle, settings.limits),
         )
         return path, length
 
@@ -155,4 +162,4 @@ def _quintic(
 
 
 def _wrapped(angle: FloatArray) -> FloatArray:
-    return np.pi - np.mod(np.pi - angle, 2.0 * np.pi)
+    return np.asarray(np.pi - np.mod(np.pi - angle, 2.0 * np.pi))

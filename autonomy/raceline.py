@@ -15,7 +15,7 @@ _SETTLED = 0.002  # m; the line moves less than this in a round
 
 
 def minimum_curvature_path(track: Track, clearance: float, spacing: float = DESIGN_SPACING) -> Curve:
-    """Closed path with the least integral of squared curvature between the boundaries.
+    """Find the closed path with the least integral of squared curvature between the boundaries.
 
     Moving the nodes of a path by a along its normals changes the curvature to k + k^2 a + a'' and the length
     element to (1 - k a) ds, to first order; so k sqrt(ds) becomes (k + k^2 a / 2 + a'') sqrt(ds), and the best

@@ -27,7 +27,7 @@ class Piece:
 
 
 def mirrored_lap(half: list[Piece], start: tuple[float, float, float], spacing: float) -> Curve:
-    """Closed lap from half a lap, mirrored at the normals of its two ends.
+    """Build a closed lap from half a lap, mirrored at the normals of its two ends.
 
     All curvatures are scaled by one common factor so that the lap turns exactly 2 pi; then a last straight is
     added, and its length is what closes the lap: the half lap must end on the axis of symmetry.

@@ -5,11 +5,26 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from autonomy.frenet import FloatArray
 from autonomy.vehicle import VehicleLimits
+
+
+@dataclass(frozen=True)
+class PathShape:
+    """What the speed on a path depends on.
+
+    Attributes
+    ----------
+    spacing : of the points, m. curvature, bank : shape (n,), 1/m and rad.
+    """
+
+    spacing: float
+    curvature: FloatArray
+    bank: FloatArray
 
 
 @dataclass(frozen=True)
@@ -30,65 +45,47 @@ class ProfileLimits:
     drive_margin: float = 1.0
 
 
-def corner_speeds(curvature: FloatArray, bank: FloatArray, vehicle: VehicleLimits, limits: ProfileLimits) -> FloatArray:
+def corner_speeds(path: PathShape, vehicle: VehicleLimits, limits: ProfileLimits) -> FloatArray:
     """Speed limit of each point by the lateral force alone, shape (n,), m/s."""
     return np.array(
         [
             vehicle.corner_speed(k, b, limits.friction_margin, limits.max_speed)
-            for k, b in zip(curvature.tolist(), bank.tolist(), strict=True)
+            for k, b in zip(path.curvature.tolist(), path.bank.tolist(), strict=True)
         ]
     )
 
 
-def closed_profile(
-    spacing: float, curvature: FloatArray, bank: FloatArray, vehicle: VehicleLimits, limits: ProfileLimits
-) -> FloatArray:
-    """Fastest speed on a closed path.
+def closed_profile(path: PathShape, vehicle: VehicleLimits, limits: ProfileLimits) -> FloatArray:
+    """Fastest speed on a closed path, shape (n,), m/s.
 
-    Forward and backward passes over the corner speeds (quasi-steady state), each twice around so that the start
-    does not matter.
-
-    Parameters
-    ----------
-    spacing : of the points, m.
-    curvature, bank : shape (n,), 1/m and rad.
-
-    Returns
-    -------
-    Speed at the points, shape (n,), m/s.
+    A forward and a backward pass over the corner speeds (quasi-steady state), from the slowest corner on, whose
+    speed neither pass can lower.
     """
-    speed = corner_speeds(curvature, bank, vehicle, limits)
-    lap = np.concatenate((speed, speed))
-    start = int(np.argmin(speed))
-    order = np.arange(start, start + len(speed) + 1)
-    k, b = np.append(curvature, curvature)[order], np.append(bank, bank)[order]
-    # From the slowest corner, which no pass can lower, once around is enough.
-    passed = _backward(_forward(lap[order], spacing, k, b, vehicle, limits), spacing, k, b, vehicle, limits)
-    result = np.empty_like(speed)
-    result[order[:-1] % len(speed)] = passed[:-1]
-    return result
+    speed = corner_speeds(path, vehicle, limits)
+    count = len(speed)
+    order = (int(np.argmin(speed)) + np.arange(count + 1)) % count
+    lap = PathShape(path.spacing, path.curvature[order], path.bank[order])
+    speed[order] = _passes(speed[order], lap, vehicle, limits)
+    return speed
 
 
 def open_profile(
-    spacing: float,
-    curvature: FloatArray,
-    bank: FloatArray,
+    path: PathShape,
     vehicle: VehicleLimits,
     limits: ProfileLimits,
     start_speed: float,
+    *,
     end_speed: float | None = None,
 ) -> FloatArray:
-    """Fastest speed on an open path from a given start speed, and to an end speed if there is one.
+    """Fastest speed on an open path from a start speed, and to an end speed if there is one, shape (n,), m/s.
 
-    Parameters and returns as closed_profile. A start speed from which the end speed cannot be reached is lowered:
-    compare the first value with it.
+    A start speed from which the path cannot be driven is lowered: compare the first value with it.
     """
-    speed = corner_speeds(curvature, bank, vehicle, limits)
-    speed[0] = min(speed[0], start_speed)
+    speed = corner_speeds(path, vehicle, limits)
+    speed[0] = min(float(speed[0]), start_speed)
     if end_speed is not None:
-        speed[-1] = min(speed[-1], end_speed)
-    speed = _forward(speed, spacing, curvature, bank, vehicle, limits)
-    return _backward(speed, spacing, curvature, bank, vehicle, limits)
+        speed[-1] = min(float(speed[-1]), end_speed)
+    return _passes(speed, path, vehicle, limits)
 
 
 def lap_time(spacing: float, speed: FloatArray) -> float:
@@ -96,33 +93,22 @@ def lap_time(spacing: float, speed: FloatArray) -> float:
     return float(np.sum(2.0 * spacing / (speed + np.roll(speed, -1))))
 
 
-def _forward(
-    speed: FloatArray, spacing: float, curvature: FloatArray, bank: FloatArray, vehicle: VehicleLimits,
-    limits: ProfileLimits,
-) -> FloatArray:
-    result, k, b = speed.tolist(), curvature.tolist(), bank.tolist()
+def _passes(speed: FloatArray, path: PathShape, vehicle: VehicleLimits, limits: ProfileLimits) -> FloatArray:
+    """Lower the speeds to what acceleration and braking between neighbours allow."""
+    result, k, b = speed.tolist(), path.curvature.tolist(), path.bank.tolist()
+
+    def acceleration(i: int, v: float) -> float:
+        most = vehicle.acceleration_range(v, k[i], b[i], 0.0, limits.friction_margin)[1]
+        return min(limits.max_acceleration, limits.drive_margin * most if most > 0.0 else most)
+
+    def deceleration(i: int, v: float) -> float:
+        most = -vehicle.acceleration_range(v, k[i], b[i], 0.0, limits.friction_margin)[0]
+        return min(limits.max_deceleration, most)
+
     for i in range(len(result) - 1):
-
-        def acceleration(v: float, i: int = i) -> float:
-            most = vehicle.acceleration_range(v, k[i], b[i], 0.0, limits.friction_margin)[1]
-            return min(limits.max_acceleration, limits.drive_margin * most if most > 0.0 else most)
-
-        result[i + 1] = min(result[i + 1], _travel(result[i], spacing, acceleration))
-    return np.array(result)
-
-
-def _backward(
-    speed: FloatArray, spacing: float, curvature: FloatArray, bank: FloatArray, vehicle: VehicleLimits,
-    limits: ProfileLimits,
-) -> FloatArray:
-    result, k, b = speed.tolist(), curvature.tolist(), bank.tolist()
+        result[i + 1] = min(result[i + 1], _travel(result[i], path.spacing, partial(acceleration, i)))
     for i in range(len(result) - 1, 0, -1):
-
-        def deceleration(v: float, i: int = i) -> float:
-            most = -vehicle.acceleration_range(v, k[i], b[i], 0.0, limits.friction_margin)[0]
-            return min(limits.max_deceleration, most)
-
-        result[i - 1] = min(result[i - 1], _travel(result[i], spacing, deceleration))
+        result[i - 1] = min(result[i - 1], _travel(result[i], path.spacing, partial(deceleration, i)))
     return np.array(result)
 
 

@@ -42,6 +42,7 @@ class Track:
         name: str,
         origin: Origin | None,
         centre: Curve,
+        *,
         width_left: FloatArray,
         width_right: FloatArray,
         bank: FloatArray,

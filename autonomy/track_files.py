@@ -60,10 +60,10 @@ def track_from_csv(path: str | Path, name: str | None = None, origin: Origin | N
         name or path.stem,
         origin,
         centre,
-        _periodic(centre, knots, table[:, 3]),
-        _periodic(centre, knots, table[:, 2]),
-        bank,
-        np.zeros(centre.count),
+        width_left=_periodic(centre, knots, table[:, 3]),
+        width_right=_periodic(centre, knots, table[:, 2]),
+        bank=bank,
+        grade=np.zeros(centre.count),
     )
 
 
@@ -92,7 +92,7 @@ def track_from_boundaries(
     if min(float(left.min()), float(right.min())) <= 0.0 or max(float(left.max()), float(right.max())) > _MAX_WIDTH:
         raise ConfigurationError(outer, "", f"does not run around {inner} at a distance of 0 to {2 * _MAX_WIDTH:g} m")
     flat = np.zeros(centre.count)
-    return Track(name or inner.stem, origin, centre, left, right, flat, flat.copy())
+    return Track(name or inner.stem, origin, centre, width_left=left, width_right=right, bank=flat, grade=flat.copy())
 
 
 def _nearest_points(line: Curve, boundary: Curve) -> FloatArray:
@@ -105,15 +105,28 @@ def _nearest_points(line: Curve, boundary: Curve) -> FloatArray:
 
 def _track_from_yaml(path: Path) -> Track:
     node = _Node(path, "", _read_yaml(path))
-    node.only({"name", "origin", "start", "half_lap", "centre_line", "boundaries", "width_left_m", "width_right_m",
-               "bank_deg", "grade_deg"})
+    node.only(
+        {
+            "name",
+            "origin",
+            "start",
+            "half_lap",
+            "centre_line",
+            "boundaries",
+            "width_left_m",
+            "width_right_m",
+            "bank_deg",
+            "grade_deg",
+        }
+    )
     name = node.text("name")
     origin = None
     if "origin" in node:
         at = node.child("origin")
         at.only({"latitude_deg", "longitude_deg", "height_m"})
         origin = Origin(
-            at.number("latitude_deg", -90.0, 90.0), at.number("longitude_deg", -180.0, 180.0),
+            at.number("latitude_deg", -90.0, 90.0),
+            at.number("longitude_deg", -180.0, 180.0),
             at.number("height_m", -500.0, 9000.0),
         )
     shapes = [key for key in ("half_lap", "centre_line", "boundaries") if key in node]
@@ -143,7 +156,8 @@ def _track_from_segments(node: _Node, name: str, origin: Origin | None) -> Track
             )
         )
     pose = (
-        start.number("x_m", -60_000.0, 60_000.0), start.number("y_m", -60_000.0, 60_000.0),
+        start.number("x_m", -60_000.0, 60_000.0),
+        start.number("y_m", -60_000.0, 60_000.0),
         math.radians(start.number("heading_deg", -360.0, 360.0)),
     )
     try:
@@ -157,14 +171,17 @@ def _track_from_segments(node: _Node, name: str, origin: Origin | None) -> Track
         if key not in node and default is not None:
             return np.full(centre.count, default)
         points = node.profile(key, low, high)
-        return np.interp(half_stations, points[:, 0], points[:, 1])
+        return np.asarray(np.interp(half_stations, points[:, 0], points[:, 1]))
 
     return Track(
-        name, origin, centre,
-        profile("width_left_m", 1.0, _MAX_WIDTH), profile("width_right_m", 1.0, _MAX_WIDTH),
-        np.radians(profile("bank_deg", -_MAX_ANGLE, _MAX_ANGLE, 0.0)),
+        name,
+        origin,
+        centre,
+        width_left=profile("width_left_m", 1.0, _MAX_WIDTH),
+        width_right=profile("width_right_m", 1.0, _MAX_WIDTH),
+        bank=np.radians(profile("bank_deg", -_MAX_ANGLE, _MAX_ANGLE, 0.0)),
         # Uphill on the way out is downhill on the way back.
-        np.radians(profile("grade_deg", -_MAX_ANGLE, _MAX_ANGLE, 0.0))
+        grade=np.radians(profile("grade_deg", -_MAX_ANGLE, _MAX_ANGLE, 0.0))
         * np.where(centre.stations <= 0.5 * centre.length, 1.0, -1.0),
     )
 
@@ -259,11 +276,11 @@ def _read_rows(path: Path, columns: tuple[int, ...], header: str) -> list[tuple[
     """Rows of finite numbers with their line numbers; all rows equally long."""
     rows: list[tuple[int, list[float]]] = []
     for line, text in enumerate(_read_text(path).splitlines(), start=1):
-        text = text.split("#", 1)[0].strip()
-        if not text:
+        content = text.split("#", 1)[0].strip()
+        if not content:
             continue
         try:
-            values = [float(field) for field in text.split(",")]
+            values = [float(field) for field in content.split(",")]
         except ValueError:
             raise ConfigurationError(path, f"line {line}", f"is not numbers; expected {header}") from None
         if not all(math.isfinite(value) for value in values):

@@ -130,7 +130,7 @@ class VehicleLimits:
         )
 
     def loads(self, speed: float, curvature: float, bank: float) -> tuple[float, float]:
-        """Normal load and lateral tyre force (positive left) in a turn on a banked road, N."""
+        """Return normal load and lateral tyre force (positive left) in a turn on a banked road, N."""
         centripetal = speed * speed * curvature
         cos, sin = math.cos(bank), math.sin(bank)
         normal = self.mass * (self.gravity * cos + centripetal * sin) + self.downforce * speed * speed
@@ -177,7 +177,9 @@ class VehicleLimits:
         return (-brake - against) / self.mass, (drive - against) / self.mass
 
 
-def _drive_curve(file: str | Path, parameters: Mapping[str, float], positive: Callable[[str], float]) -> tuple[FloatArray, FloatArray]:
+def _drive_curve(
+    file: str | Path, parameters: Mapping[str, float], positive: Callable[[str], float]
+) -> tuple[FloatArray, FloatArray]:
     """Tractive force over speed with the best gear everywhere."""
     points = sorted(
         (float(key.removeprefix(_ENGINE_TORQUE)), torque)
