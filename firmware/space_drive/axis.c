@@ -90,17 +90,21 @@ static void vote_demand(space_drive_axis *self, const space_drive_axis_config *c
 {
     float demands[SPACE_DRIVE_CHANNELS] = {0.0f};
     bool usable[SPACE_DRIVE_CHANNELS] = {false};
+    uint32_t voters = 0;
 
     for (uint32_t i = 0; i < SPACE_DRIVE_CHANNELS; i++) {
         space_drive_channel *channel = &self->channels[i];
         if (can_vote(channel)) {
             channel->demand = channel_demand(channel, config);
             usable[i] = !fresh_only || channel->request.state == SPACE_DRIVE_REQUEST_FRESH;
+            voters += usable[i] ? 1U : 0U;
         }
         demands[i] = channel->demand;
     }
     const voter_ballot ballot = voter_vote(demands, usable, config->deviation);
-    if (ballot.valid) {
+    /* Of two demands that differ nobody knows the right one: the last agreed one stands. A median needs no such care. */
+    const bool split = voters == 2U && (ballot.deviates[0] || ballot.deviates[1] || ballot.deviates[2]);
+    if (ballot.valid && !split) {
         self->demand = ballot.value;
         self->demand_valid = true;
     }
@@ -120,7 +124,7 @@ void space_drive_axis_step(space_drive_axis *self, const space_drive_axis_config
         fresh += channel->request.state == SPACE_DRIVE_REQUEST_FRESH && !channel->excluded ? 1U : 0U;
     }
     self->ready = known >= 2U;
-    self->requests_lost = self->ready && fresh < 2U;
+    self->requests_lost = self->ready && !self->failed && fresh < 2U;
     /* A channel that lost its requests keeps an old target: it must not pull the others while two are fresh. */
     vote_demand(self, config, fresh >= 2U);
 }

@@ -53,7 +53,7 @@ typedef struct space_drive_axis {
     float position;     /* voted position; holds its last value when the vote fails */
     bool demand_valid;  /* a vote has succeeded at least once */
     bool ready;         /* two channels or more have had a good request */
-    bool requests_lost; /* fewer than two trusted channels have fresh requests, though the axis was ready */
+    bool requests_lost; /* fewer than two trusted channels have fresh requests now, though the axis was ready */
     bool failed;        /* fewer than two channels are trusted; until restart */
 } space_drive_axis;
 
