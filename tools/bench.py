@@ -13,14 +13,13 @@ from dataclasses import dataclass, replace
 from rich.console import Console
 from rich.table import Table
 
-from autonomy.partition import AutonomyPartition
-from autonomy.track import Track
 from autonomy.track_files import load_track
-from autonomy.vehicle import VehicleLimits, load_vehicle
 from bridge.bench import TICK_US, Bench
+from bridge.interfaces import Autonomy, Road
 from bridge.scenario import Scenario, load_scenario
+from dbc.frames import Buffer
 from tools.plain_loop import PlainLoop
-from tools.run import DEFAULT_SCENARIO, build_bench
+from tools.run import DEFAULT_SCENARIO, build_bench, make_autonomy
 
 TARGET_RATIO = 10.0
 TARGET_REAL_TIME = 30.0
@@ -47,15 +46,16 @@ def measure(scenario: Scenario, simulated_s: float) -> Pair:
         When a file of the scenario is wrong.
     """
     ticks = round(simulated_s * 1e6 / TICK_US)
-    track = load_track(scenario.track)
-    limits = VehicleLimits.from_parameters(scenario.vehicle, load_vehicle(scenario.vehicle))
     with build_bench(scenario) as bench:
         ours = _time(bench.tick, ticks) / ticks
         frames = sum(bus.frames for bus in bench.network.statistics().values())
         plant = _time_plant(bench, ticks) / ticks
-    with build_bench(scenario) as bench:
-        autonomy = _time_autonomy(bench, ticks) / ticks
-    with PlainLoop(scenario, track, AutonomyPartition(track, limits)) as loop:
+    clocks: list[_ClockedAutonomy] = []
+    with Bench.from_scenario(scenario, load_track, lambda *of: _clock(clocks, *of)) as bench:
+        _time(bench.tick, ticks)
+    autonomy = clocks[0].spent_s / ticks
+    road = load_track(scenario.track)
+    with PlainLoop(scenario, road, make_autonomy(scenario, road)) as loop:
         plain = (_time(loop.tick, ticks) - loop.unpacking_s) / ticks
         plain_frames = loop.frames
     return Pair(ours, plain, plant, autonomy, frames / ticks, plain_frames / ticks)
@@ -76,23 +76,23 @@ def _time_plant(bench: Bench, ticks: int) -> float:
     return time.perf_counter() - started
 
 
-def _time_autonomy(bench: Bench, ticks: int) -> float:
-    """What autonomy takes of each tick, by a clock around it."""
-    spent = 0.0
-    autonomy = bench.autonomy
+class _ClockedAutonomy:
+    """Autonomy with a clock around it, for a run of its own: clocking costs time too."""
 
-    class Clocked:
-        def tick(self, now_us: int, frames: bytes) -> bytes:
-            nonlocal spent
-            started = time.perf_counter()
-            out = autonomy.tick(now_us, frames)
-            spent += time.perf_counter() - started
-            return out
+    def __init__(self, autonomy: Autonomy) -> None:
+        self._autonomy = autonomy
+        self.spent_s = 0.0
 
-    bench.autonomy = Clocked()
-    for _ in range(ticks):
-        bench.tick()
-    return spent
+    def tick(self, now_us: int, frames: Buffer) -> bytes:
+        started = time.perf_counter()
+        out = self._autonomy.tick(now_us, frames)
+        self.spent_s += time.perf_counter() - started
+        return out
+
+
+def _clock(clocks: list[_ClockedAutonomy], scenario: Scenario, road: Road) -> Autonomy:
+    clocks.append(_ClockedAutonomy(make_autonomy(scenario, road)))
+    return clocks[-1]
 
 
 def bench(console: Console, repeats: int, simulated_s: float) -> int:

@@ -64,7 +64,7 @@ def _parser() -> argparse.ArgumentParser:
     bench = commands.add_parser("bench", help="measure the loop against the plain loop a user would write")
     bench.add_argument("--repeats", type=_count, default=5, help="pairs of runs (default: 5)")
     bench.add_argument(
-        "--simulated-s", type=_positive, default=10.0, metavar="S", help="simulated seconds per run (default: 10)"
+        "--simulated-s", type=_positive, default=40.0, metavar="S", help="simulated seconds per run (default: 40)"
     )
     return parser
 

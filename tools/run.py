@@ -51,6 +51,18 @@ def find_scenario(name: str | None) -> Path:
     raise ConfigurationError(name, "", f"no such scenario file; shipped scenarios: {known}")
 
 
+def make_autonomy(scenario: Scenario, road: Road) -> AutonomyPartition:
+    """The autonomy of this project for a scenario; the road is the track it was loaded from.
+
+    Raises
+    ------
+    ConfigurationError
+        When the vehicle file lacks what planning needs.
+    """
+    assert isinstance(road, Track)
+    return AutonomyPartition(road, VehicleLimits.from_parameters(scenario.vehicle, load_vehicle(scenario.vehicle)))
+
+
 def build_bench(scenario: Scenario, folder: Path | None = None) -> Bench:
     """The bench of a scenario with the autonomy of this project.
 
@@ -64,12 +76,7 @@ def build_bench(scenario: Scenario, folder: Path | None = None) -> Bench:
     RaceloopError
         When a file that the scenario names is wrong.
     """
-
-    def autonomy_of(described: Scenario, road: Road) -> AutonomyPartition:
-        assert isinstance(road, Track)
-        return AutonomyPartition(road, VehicleLimits.from_parameters(described.vehicle, load_vehicle(described.vehicle)))
-
-    return Bench.from_scenario(scenario, load_track, autonomy_of, folder)
+    return Bench.from_scenario(scenario, load_track, make_autonomy, folder)
 
 
 def run(scenario_name: str | None, folder: Path, console: Console, rt_ratio: float | None = None) -> int:
