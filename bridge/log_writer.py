@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from bridge.bus import CHANNELS
 from dbc.codec import database
 from dbc.errors import RaceloopError
-from dbc.frames import FRAME_DTYPE, FRAME_SIZE, Flag, iterate
+from dbc.frames import FRAME_DTYPE, FRAME_SIZE, FRAME_STRUCT, Flag
 
 #: Names inside the folder of a recording.
 CANDUMP, BLF, SIGNALS, TRUTH = "frames.log", "frames.blf", "signals", "truth.parquet"
@@ -57,24 +57,31 @@ class FrameLogs:
         # BLF keeps times relative to the first frame and, for times that are no dates, forgets the first one.
         self._blf.start_timestamp = 0.0
         self._message = can.Message()
+        self._set_flags(0)
         self._names = {int(bus): name for bus, name in CHANNELS.items()}
 
     def write(self, frames: bytes) -> None:
         """Append frames, which must be in order of time."""
+        # One message object for all frames, its flags touched only when they change: this is the writer's hot path.
         message, names = self._message, self._names
         candump, blf = self._candump.on_message_received, self._blf.on_message_received
-        for time_us, identifier, bus, dlc, flags, _sender, data in iterate(frames):
+        for time_us, identifier, bus, dlc, flags, _sender, data in FRAME_STRUCT.iter_unpack(frames):
+            if flags != self._flags:
+                self._set_flags(flags)
             message.timestamp = time_us * 1e-6
             message.arbitration_id = identifier
             message.dlc = dlc
-            message.data = data if dlc == len(data) else data[:dlc]  # type: ignore[assignment]
-            message.is_extended_id = bool(flags & Flag.EXTENDED)
-            message.is_remote_frame = bool(flags & Flag.REMOTE)
-            message.is_error_frame = bool(flags & Flag.ERROR)
+            message.data = data[:dlc]
             message.channel = names[bus]
             candump(message)
             message.channel = bus  # BLF counts channels from 1: CAN1 is channel 1
             blf(message)
+
+    def _set_flags(self, flags: int) -> None:
+        self._flags = flags
+        self._message.is_extended_id = bool(flags & Flag.EXTENDED)
+        self._message.is_remote_frame = bool(flags & Flag.REMOTE)
+        self._message.is_error_frame = bool(flags & Flag.ERROR)
 
     def close(self) -> None:
         """Finish both files."""

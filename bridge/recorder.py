@@ -10,6 +10,8 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from queue import Queue
+from threading import Thread
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +29,9 @@ from bridge.log_writer import (
 from dbc.errors import RaceloopError
 
 _ROWS = 512
+
+#: Records that may wait for the writer: some 30 MB, a minute of a run. Beyond, the loop waits for the writer.
+_QUEUE_RECORDS = 256
 
 
 @dataclass(frozen=True)
@@ -74,6 +79,11 @@ class Recorder:
             stderr=subprocess.PIPE,
             env=os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
         )
+        # The writer is slower than a burst of the loop; a thread keeps its pipe full and the loop out of it.
+        self._records: Queue[bytes | None] = Queue(_QUEUE_RECORDS)
+        self._broken = False
+        self._feeder = Thread(target=self._feed, name="recorder", daemon=True)
+        self._feeder.start()
 
     def add_frames(self, frames: NDArray[np.void]) -> None:
         """Append frames in order of time; array of `FRAME_DTYPE`."""
@@ -92,7 +102,7 @@ class Recorder:
         """Wait for the writer and return the recording."""
         self._flush_truth()
         self._send(END_RECORD, b"")
-        output, complaint = self._process.communicate()
+        output, complaint = self._wait()
         if self._process.returncode != 0:
             raise self._failed(complaint)
         digest = json.loads(output)["frame_log_sha256"]
@@ -102,25 +112,36 @@ class Recorder:
     def abort(self) -> None:
         """End without a recording: what was written is removed. Safe at any time."""
         if self._process.returncode is None:
-            with suppress(BrokenPipeError):  # the writer may have died of its own
-                self._process.communicate()
+            self._wait()
 
     def _flush_truth(self) -> None:
-        self._send(TRUTH_RECORD, self._rows[: self._row_count].tobytes())
-        self._row_count = 0
+        if self._row_count:
+            self._send(TRUTH_RECORD, self._rows[: self._row_count].tobytes())
+            self._row_count = 0
 
     def _send(self, kind: bytes, payload: bytes) -> None:
+        if self._broken:
+            raise self._failed(self._wait()[1])
+        self._records.put(RECORD.pack(kind, len(payload)) + payload)
+
+    def _wait(self) -> tuple[bytes, bytes]:
+        """End the stream and wait for the writer's last words."""
+        self._records.put(None)
+        self._feeder.join()
+        self._process.stdin = None  # the feeder has closed it
+        return self._process.communicate()
+
+    def _feed(self) -> None:
         stream = self._process.stdin
         assert stream is not None
-        try:
-            stream.write(RECORD.pack(kind, len(payload)))
-            stream.write(payload)
-            stream.flush()
-        except BrokenPipeError:
-            with suppress(BrokenPipeError):
-                stream.close()
-            self._process.stdin = None
-            raise self._failed(self._process.communicate()[1]) from None
+        while (record := self._records.get()) is not None:
+            if not self._broken:  # a dead writer is noticed at the next record; until then the queue must not fill up
+                try:
+                    stream.write(record)
+                except BrokenPipeError:
+                    self._broken = True
+        with suppress(BrokenPipeError):
+            stream.close()
 
     def _failed(self, complaint: bytes) -> RaceloopError:
         lines = complaint.decode("utf-8", "replace").strip().splitlines()
