@@ -29,10 +29,10 @@ def steering_frame(
     return c_frame(Frame(0, identifier, bus, dlc, flags, Station.OBC, data).pack())
 
 
-def request_frame(counter: int, position: int = 0x4000) -> Any:
+def request_frame(counter: int) -> Any:
     """A Space Drive request with its counter and CRC in place."""
     message = database.message("req_steer_pos")
-    return c_frame(message.finish(message.frame(position, 50, 1, 0, 0, 0), counter))
+    return c_frame(message.finish(message.frame(0x4000, 50, 1, 0, 0, 0), counter))
 
 
 def receive(rx: Any, frame: Any, now_us: int = 0) -> int:
@@ -243,6 +243,15 @@ def test_finish_wraps_a_narrow_counter() -> None:
     assert sent == [14, 15, 0]
 
 
+def test_finish_keeps_a_counter_that_is_too_wide_inside_its_field() -> None:
+    row = ffi.new("codec_message *", {"dlc": 8, "counter_start": 6, "counter_length": 4})
+    frame = ffi.new("can_frame *")
+    counter = ffi.new("uint8_t *", 0xFE)
+    lib.codec_finish(frame, row, counter)
+    assert int.from_bytes(bytes(frame.data), "little") == 0xE << 6
+    assert counter[0] == 0xF
+
+
 def test_finish_leaves_a_plain_message_alone() -> None:
     frame = c_frame(database.message("gear_shift_cmd").frame(3))
     before = bytes(ffi.buffer(frame))
@@ -274,9 +283,12 @@ def test_crc_continues() -> None:
     assert lib.codec_crc16(first, b"56789", 5) == 0x29B1
 
 
-def test_frame_crc_covers_data_then_id() -> None:
-    frame = request_frame(200, position=0x8000)
-    content = bytes(frame.data)[:6] + REQ_STEER_POS.to_bytes(2, "little")
+@pytest.mark.parametrize("name", ["req_steer_pos", "req_brake_pos", "calb_steer_pos_1", "calb_brake_pos_3"])
+def test_frame_crc_covers_data_then_id(name: str) -> None:
+    message = database.message(name)
+    lowest = [message.limits(signal)[0] for signal in message.signals]
+    frame = c_frame(message.finish(message.frame(0x8000, *lowest[1:]), 200))
+    content = bytes(frame.data)[:6] + message.frame_id.to_bytes(2, "little")
     assert int.from_bytes(bytes(frame.data)[6:], "little") == Crc16CcittFalse.calc(content)
 
 
