@@ -77,6 +77,19 @@ def test_works_agree_with_the_outputs() -> None:
         assert gain > 0.75 * (engine + gravity - aero), "losses beyond belief"
 
 
+def test_a_turn_alone_gains_no_energy() -> None:
+    """What a coasting car on a circle loses is lost in its tyres, to a part in a million."""
+    start = {"v0": 10.0, "oval_asymmetry": 0.0, "rolling_resistance": 0.0, "drag_area": 0.0}
+    with Plant({**start, "differential_preload": 0.0, "differential_lock_ratio": 0.0}) as car:
+        car.step(3.0, steer_motor_demand=0.6)
+        energy = float(car["energy_kinetic"])
+        lost = float(car["energy_tyre"])
+        car.step(20.0)
+        assert float(car["energy_tyre"]) > lost
+        drop = energy - float(car["energy_kinetic"])
+        assert drop == pytest.approx(float(car["energy_tyre"]) - lost, rel=1e-6)
+
+
 def test_braking_turns_motion_into_heat() -> None:
     with Plant({"v0": 40.0, "oval_asymmetry": 0.0}) as car:
         start = float(car["energy_kinetic"])

@@ -43,11 +43,22 @@ def cornering_stiffness(car: Plant, load: float) -> float:
     return nominal * float(car["tyre_pky1"]) * math.sin(2.0 * math.atan(load / (pky2 * nominal)))
 
 
+def slip_stiffness(car: Plant, load: float) -> float:
+    change = load / float(car["tyre_nominal_load"]) - 1.0
+    return load * float(car["tyre_pkx1"]) * math.exp(float(car["tyre_pkx3"]) * change)
+
+
+@pytest.mark.parametrize("spool", [False, True])
 @pytest.mark.parametrize("speed", [15.0, 30.0, 45.0])
-def test_small_steering_gives_the_yaw_rate_of_the_linear_bicycle(speed: float) -> None:
-    """Below 1 m/s2 the steady turn must follow the understeer equation."""
+def test_small_steering_gives_the_yaw_rate_of_the_linear_bicycle(speed: float, spool: bool) -> None:
+    """Below 1 m/s2 the steady turn must follow the linear single-track model.
+
+    With a spool the rear wheels turn alike, so in a turn they slip against each other: a moment
+    against the turn of half the slip stiffness of one tyre times the track squared, per r/v. And
+    as both slip alike under drive, the more heavily loaded outer one drives more.
+    """
     gear = {15.0: 2, 30.0: 3, 45.0: 4}[speed]
-    with Plant({**SYMMETRIC, **OPEN_DIFFERENTIAL, **cruise(gear, speed)}) as car:
+    with Plant({**SYMMETRIC, **({} if spool else OPEN_DIFFERENTIAL), **cruise(gear, speed)}) as car:
         road_wheel = 0.6 * 2.971 / speed**2
         car["steer_motor_demand"] = road_wheel * float(car["steer_ratio"])
         hold_speed(car, speed, 12.0)
@@ -55,13 +66,22 @@ def test_small_steering_gives_the_yaw_rate_of_the_linear_bicycle(speed: float) -
         loads = {w: float(car[f"wheel_load_{w}"]) for w in ("fl", "fr", "rl", "rr")}
         front = cornering_stiffness(car, loads["fl"]) + cornering_stiffness(car, loads["fr"])
         rear = cornering_stiffness(car, loads["rl"]) + cornering_stiffness(car, loads["rr"])
-        gradient = float(car["mass"]) / (lf + lr) * (lr / front - lf / rear)
-        vx = float(car["vx"])
-        expected = vx * float(car["steer_wheel_angle"]) / (lf + lr + gradient * vx * vx)
-        assert car["steer_wheel_angle"] == pytest.approx(road_wheel, rel=1e-6)
-        assert car["yaw_rate"] == pytest.approx(expected, rel=0.02)
-        slip = lr * expected / vx - lf / (lf + lr) * float(car["mass"]) * vx * expected / rear
-        assert car["slip_angle"] == pytest.approx(slip, rel=0.05, abs=2e-5)
+        left, right = slip_stiffness(car, loads["rl"]), slip_stiffness(car, loads["rr"])
+        track = float(car["track_width_rear"])
+        spool_moment = 0.25 * (left + right) * track**2 if spool else 0.0
+        drive = float(car["tyre_force_x_rl"]) + float(car["tyre_force_x_rr"])
+        drive_moment = 0.5 * track * drive * (right - left) / (right + left) if spool else 0.0
+        vx, delta = float(car["vx"]), float(car["steer_wheel_angle"])
+        # Steady state of side force and yaw moment in side-slip angle and yaw rate.
+        a11, a12 = -(front + rear), -(front * lf - rear * lr) / vx - float(car["mass"]) * vx
+        a21, a22 = -(front * lf - rear * lr), -(front * lf**2 + rear * lr**2 + spool_moment) / vx
+        determinant = a11 * a22 - a12 * a21
+        force, moment = -front * delta, -front * lf * delta - drive_moment
+        side_slip = (force * a22 - moment * a12) / determinant
+        yaw_rate = (moment * a11 - force * a21) / determinant
+        assert delta == pytest.approx(road_wheel, rel=1e-6)
+        assert car["yaw_rate"] == pytest.approx(yaw_rate, rel=0.025)
+        assert car["slip_angle"] == pytest.approx(side_slip, rel=0.06, abs=4e-5)
 
 
 def test_steering_to_the_left_turns_left() -> None:
