@@ -20,7 +20,7 @@ from bridge.pace import WallClockPace
 from bridge.plant import Plant
 from bridge.race_control import RaceControl, SafetySwitch
 from bridge.recorder import Recorder, Recording
-from bridge.scenario import Condition, Scenario, Situation, load_scenario, load_vehicle
+from bridge.scenario import Condition, Scenario, Situation, Trigger, load_scenario, load_vehicle
 from bridge.sensors.suite import SensorSuite
 from bridge.sensors.truth import TruthReader
 from bridge.tap import Taps
@@ -230,11 +230,10 @@ class Bench:
         bool
             True when the condition held, False when time was up.
         """
-        until = until or self.scenario.finish
+        finish = Trigger(until or self.scenario.finish)
         limit_us = self.scenario.time_limit_us if time_limit_us is None else time_limit_us
         pace = WallClockPace(rt_ratio) if rt_ratio is not None else None
-        started_us = self.now_us
-        while not until.holds(self.situation, started_us):
+        while not finish.update(self.situation):
             if self.now_us >= limit_us:
                 return False
             if pace is not None:

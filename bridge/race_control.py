@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, Generic, Protocol, TypeVar
 
-from bridge.scenario import Condition, FlagStep, Situation, SwitchStep
+from bridge.scenario import Condition, FlagStep, Situation, SwitchStep, Trigger
 from bridge.states import TrackFlag, VehicleFlag
 
 #: The base station sends a telegram every 100 ms (MyLaps 2021/22, 10 Hz).
@@ -26,28 +26,28 @@ class StepSequence(Generic[_Step]):
     Parameters
     ----------
     steps : in order.
+
+    Attributes
+    ----------
+    waiting_for : the step whose condition does not hold yet, or None after the last.
     """
 
     def __init__(self, steps: Sequence[_Step]) -> None:
-        self._steps = steps
-        self._next = 0
-        self._since_us = 0
+        self._steps = iter(steps)
+        self._await_next()
 
     def advance(self, now: Situation) -> _Step | None:
         """Take the next step if its condition holds."""
-        if self._next == len(self._steps):
+        step = self.waiting_for
+        if step is None or not self._trigger.update(now):
             return None
-        step = self._steps[self._next]
-        if not step.when.holds(now, self._since_us):
-            return None
-        self._next += 1
-        self._since_us = now.time_us
+        self._await_next()
         return step
 
-    @property
-    def waiting_for(self) -> _Step | None:
-        """The step whose condition does not hold yet."""
-        return self._steps[self._next] if self._next < len(self._steps) else None
+    def _await_next(self) -> None:
+        self.waiting_for = next(self._steps, None)
+        if self.waiting_for is not None:
+            self._trigger = Trigger(self.waiting_for.when)
 
 
 class SafetySwitch:

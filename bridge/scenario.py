@@ -39,27 +39,51 @@ class Situation(NamedTuple):
 
 @dataclass(frozen=True)
 class Condition:
-    """All that is given must hold at once; times and distances are lower bounds."""
+    """All that is given must hold at once; times and distances are lower bounds.
+
+    `for_us` is how long the rest must have held without a break: see `Trigger`.
+    """
 
     time_us: int | None = None
-    after_us: int | None = None
     sys_state: SysState | None = None
     ct_state: CtState | None = None
     distance_m: float | None = None
     laps: int | None = None
     standstill: bool | None = None
+    for_us: int = 0
 
-    def holds(self, now: Situation, since_us: int = 0) -> bool:
-        """True when all that is given holds; `since_us` is when the step before was taken."""
+    def holds(self, now: Situation) -> bool:
+        """True when all that is given holds now, whatever `for_us` asks."""
         return (
             (self.time_us is None or now.time_us >= self.time_us)
-            and (self.after_us is None or now.time_us - since_us >= self.after_us)
             and (self.sys_state is None or now.sys_state == self.sys_state)
             and (self.ct_state is None or now.ct_state == self.ct_state)
             and (self.distance_m is None or now.distance_m >= self.distance_m)
             and (self.laps is None or now.laps >= self.laps)
             and (self.standstill is None or now.standstill == self.standstill)
         )
+
+
+class Trigger:
+    """Watches one condition over time.
+
+    Parameters
+    ----------
+    condition : what to wait for.
+    """
+
+    def __init__(self, condition: Condition) -> None:
+        self._condition = condition
+        self._since_us: int | None = None
+
+    def update(self, now: Situation) -> bool:
+        """True when the condition holds and has held for as long as it asks; to be called every tick."""
+        if not self._condition.holds(now):
+            self._since_us = None
+            return False
+        if self._since_us is None:
+            self._since_us = now.time_us
+        return now.time_us - self._since_us >= self._condition.for_us
 
 
 @dataclass(frozen=True)
@@ -164,12 +188,12 @@ def _referenced(scenario: Path, content: Mapping[str, Any], key: str) -> Path:
 def _condition(when: Mapping[str, Any]) -> Condition:
     return Condition(
         time_us=_microseconds(when["time_s"]) if "time_s" in when else None,
-        after_us=_microseconds(when["after_s"]) if "after_s" in when else None,
         sys_state=SysState[when["sys_state"]] if "sys_state" in when else None,
         ct_state=CtState[when["ct_state"]] if "ct_state" in when else None,
         distance_m=when.get("distance_m"),
         laps=when.get("laps"),
         standstill=when.get("standstill"),
+        for_us=_microseconds(when.get("for_s", 0.0)),
     )
 
 
