@@ -15,7 +15,7 @@ SCENARIO ?=
 NATIVE := CMakeLists.txt pyproject.toml \
   $(shell find dbc firmware plant_fmu bridge -name '*.c' -o -name '*.h' -o -name '*.def' -o -name CMakeLists.txt \
     -o -name '*.dbc' -o -path 'firmware/schema/*.yaml' -o -name 'generate.py' -o -name 'cffi_binding.py' \
-    -o -name 'build_binding.py' -o -path 'plant_fmu/*.py')
+    -o -path 'dbc/network.py' -o -path 'dbc/buses.py' -o -path 'firmware/tables.py' -o -path 'plant_fmu/*.py')
 
 .PHONY: help
 help: ## Show this list

@@ -45,12 +45,16 @@ def _dispatch(options: argparse.Namespace, console: Console) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="raceloop", description="Hardware-in-the-loop CAN bench for autonomous race cars")
+    parser = argparse.ArgumentParser(
+        prog="raceloop", description="Hardware-in-the-loop CAN bench for autonomous race cars"
+    )
     commands = parser.add_subparsers(dest="command", required=True)
 
     run = commands.add_parser("run", help="drive a scenario and record it")
     run.add_argument("scenario", nargs="?", help="YAML file, or the name of a shipped scenario (default: solo_lap)")
-    run.add_argument("--out", type=Path, default=Path("out"), metavar="DIR", help="folder of the recording (default: out)")
+    run.add_argument(
+        "--out", type=Path, default=Path("out"), metavar="DIR", help="folder of the recording (default: out)"
+    )
     run.add_argument(
         "--rt-ratio",
         type=_positive,

@@ -32,10 +32,10 @@ from bridge.scenario import Scenario, Situation, load_vehicle
 from bridge.sensors.suite import SensorSuite
 from bridge.sensors.truth import TruthReader
 from bridge.wiring import Wiring
+from dbc.buses import DIRECTORY
 from dbc.codec import MessageCodec
 from dbc.codec import database as codec_database
 from dbc.frames import FRAME_STRUCT, Bus, Station
-from dbc.network import DIRECTORY
 from firmware.parameters import parameter_frames
 from plant_fmu import fmu_path
 
@@ -227,7 +227,7 @@ class PlainLoop:
                 can.Message(
                     arbitration_id=identifier,
                     is_extended_id=message.is_extended_frame,
-                    data=message.encode(values, strict=False),  # type: ignore[arg-type]
+                    data=message.encode(values, strict=False),
                     timestamp=self.now_us * 1e-6,
                 )
             )
@@ -244,7 +244,9 @@ class PlainLoop:
                 values = self._databases[bus].decode_message(message.arbitration_id, message.data, decode_choices=False)
                 self._notice(bus, values)
                 data = bytes(message.data)
-                frames += FRAME_STRUCT.pack(self.now_us, message.arbitration_id, bus, len(data), 0, 0, data.ljust(8, b"\0"))
+                frames += FRAME_STRUCT.pack(
+                    self.now_us, message.arbitration_id, bus, len(data), 0, 0, data.ljust(8, b"\0")
+                )
         return bytes(frames)
 
     def _notice(self, bus: Bus, values: Any) -> None:

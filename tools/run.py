@@ -23,6 +23,7 @@ from bridge.interfaces import Road
 from bridge.recorder import Recording
 from bridge.scenario import Scenario, load_scenario
 from bridge.states import CtState
+from dbc.codec import database
 from dbc.errors import ConfigurationError, RaceloopError
 from tools.recorded import Recorded
 from tools.summary import driving_summary, show_summary, write_summary
@@ -92,6 +93,7 @@ def run(scenario_name: str | None, folder: Path, console: Console, rt_ratio: flo
     RaceloopError
         When a file is wrong or cannot be written; nothing is left half-written.
     """
+    database.check_sources()
     scenario = load_scenario(find_scenario(scenario_name))
     _make_folder(folder)
     with build_bench(scenario, folder) as bench:

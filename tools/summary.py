@@ -126,7 +126,9 @@ def show_summary(summary: dict[str, Any], console: Console) -> None:
 
 
 def _tracking_table(rows: list[dict[str, Any]]) -> Table:
-    table = Table(title="Tracking of the published path by the true pose (paper's figure in brackets)", title_justify="left")
+    table = Table(
+        title="Tracking of the published path by the true pose (paper's figure in brackets)", title_justify="left"
+    )
     for heading in ("speed km/h", "CTE max m", "CTE |mean| m", "CTE std m", "yaw error max rad", "samples"):
         table.add_column(heading, justify="right")
     for row, paper in zip(rows, PAPER, strict=True):

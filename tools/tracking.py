@@ -82,7 +82,9 @@ def wrap_angle(angle: Floats) -> Floats:
     return wrapped
 
 
-def tracking_errors(time_us: NDArray[np.int64], x: Floats, y: Floats, yaw: Floats, speed: Floats, plans: Plans) -> TrackingErrors:
+def tracking_errors(
+    time_us: NDArray[np.int64], x: Floats, y: Floats, yaw: Floats, speed: Floats, plans: Plans
+) -> TrackingErrors:
     """Errors of the true pose against the newest plan, for every sample where the car drives on a plan.
 
     The path about its nearest point is taken as a parabola with that point's heading and curvature; with points
