@@ -44,7 +44,7 @@ MODEL_SOURCES = (
     "thermal.c",
     "fmi_support.c",
 )
-WRAPPER_SOURCES = {2: ("fmi2.c",), 3: ("fmi3.c", "fmi3_unsupported.c")}
+WRAPPER_SOURCES = {2: ("fmi2.c", "fmi2_unsupported.c"), 3: ("fmi3.c", "fmi3_unsupported.c")}
 
 # Exponents of the SI base units of every unit used in variables.def.
 UNITS: dict[str, dict[str, float]] = {
@@ -355,8 +355,8 @@ def pack(fmi: int, library: Path, header: Path, out: Path) -> None:
     names = source_files(fmi)
     names += [p.name for p in SOURCE_DIR.iterdir() if p.suffix in (".h", ".def")]
     for name in names:
-        if fmi == 2 and name == "fmi3_report.h":
-            continue
+        if name == f"fmi{5 - fmi}_report.h":
+            continue  # of the other version
         content[f"sources/{name}"] = (SOURCE_DIR / name).read_bytes()
     if fmi == 3:
         content["sources/buildDescription.xml"] = build_description_fmi3().encode()

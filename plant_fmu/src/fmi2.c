@@ -1,17 +1,15 @@
-/* FMI 2.0 for co-simulation, on top of model.h. What every function does is in the standard. */
+/* FMI 2.0 for co-simulation, on top of model.h. What every function does is in the standard. The
+ * functions that this FMU does not support are in fmi2_unsupported.c. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
-#include "fmi2Functions.h"
-
-#include "fmi_support.h"
+#include "fmi2_report.h"
 #include "plant_token.h"
 
 typedef struct fmi_instance instance_t;
 
-/* Report the instance's message and return `status`. */
-static fmi2Status report(instance_t *instance, fmi2Status status)
+fmi2Status fmi2_report(struct fmi_instance *instance, fmi2Status status)
 {
     const fmi2CallbackFunctions *callbacks = instance->callbacks;
     if (callbacks != NULL && callbacks->logger != NULL) {
@@ -20,27 +18,6 @@ static fmi2Status report(instance_t *instance, fmi2Status status)
     }
     return status;
 }
-
-/* Enter a function: null component, mode. */
-#define BEGIN(mask)                                                                                                    \
-    instance_t *instance = c;                                                                                          \
-    if (instance == NULL) {                                                                                            \
-        return fmi2Error;                                                                                              \
-    }                                                                                                                  \
-    if (!fmi_allowed(instance, __func__, (mask))) {                                                                    \
-        return report(instance, fmi2Error);                                                                            \
-    }
-
-#define NOT_NULL(argument)                                                                                             \
-    if (!fmi_not_null(instance, __func__, #argument, argument)) {                                                      \
-        return report(instance, fmi2Error);                                                                            \
-    }
-
-#define UNSUPPORTED(what)                                                                                              \
-    do {                                                                                                               \
-        fmi_message(instance, "%s: this FMU has no %s.", __func__, what);                                              \
-        return report(instance, fmi2Error);                                                                            \
-    } while (0)
 
 static const int mode_get = MODE_INITIALIZATION | MODE_STEP | MODE_TERMINATED;
 static const int mode_set = MODE_INSTANTIATED | MODE_INITIALIZATION | MODE_STEP;
@@ -157,7 +134,7 @@ fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference vr[], size_t nv
     fmi_refresh(instance);
     for (size_t i = 0; i < nvr; ++i) {
         if (!fmi_readable(instance, __func__, vr[i], PLANT_REAL)) {
-            return report(instance, fmi2Error);
+            return fmi2_report(instance, fmi2Error);
         }
         value[i] = plant_get_real(&instance->plant, vr[i]);
     }
@@ -170,7 +147,7 @@ static fmi2Status get_ints(instance_t *instance, const char *function, enum plan
     fmi_refresh(instance);
     for (size_t i = 0; i < nvr; ++i) {
         if (!fmi_readable(instance, function, vr[i], type)) {
-            return report(instance, fmi2Error);
+            return fmi2_report(instance, fmi2Error);
         }
         value[i] = plant_get_int(&instance->plant, vr[i]);
     }
@@ -220,10 +197,10 @@ fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference vr[], size_t nv
     NOT_NULL(value)
     for (size_t i = 0; i < nvr; ++i) {
         if (!fmi_writable(instance, __func__, vr[i], PLANT_REAL)) {
-            return report(instance, fmi2Error);
+            return fmi2_report(instance, fmi2Error);
         }
         if (!fmi_write_real(instance, vr[i], value[i])) {
-            return report(instance, fmi2Discard);
+            return fmi2_report(instance, fmi2Discard);
         }
     }
     return fmi2OK;
@@ -234,10 +211,10 @@ static fmi2Status set_ints(instance_t *instance, const char *function, enum plan
 {
     for (size_t i = 0; i < nvr; ++i) {
         if (!fmi_writable(instance, function, vr[i], type)) {
-            return report(instance, fmi2Error);
+            return fmi2_report(instance, fmi2Error);
         }
         if (!fmi_write_int(instance, vr[i], value[i])) {
-            return report(instance, fmi2Discard);
+            return fmi2_report(instance, fmi2Discard);
         }
     }
     return fmi2OK;
@@ -285,7 +262,7 @@ fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *FMUstate)
     }
     if (*FMUstate == NULL) {
         fmi_message(instance, "%s: out of memory.", __func__);
-        return report(instance, fmi2Error);
+        return fmi2_report(instance, fmi2Error);
     }
     fmi_save(instance, *FMUstate);
     return fmi2OK;
@@ -295,7 +272,7 @@ fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate FMUstate)
 {
     BEGIN(MODE_ANY)
     NOT_NULL(FMUstate)
-    return fmi_restore(instance, __func__, FMUstate) ? fmi2OK : report(instance, fmi2Error);
+    return fmi_restore(instance, __func__, FMUstate) ? fmi2OK : fmi2_report(instance, fmi2Error);
 }
 
 fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate *FMUstate)
@@ -325,7 +302,7 @@ fmi2Status fmi2SerializeFMUstate(fmi2Component c, fmi2FMUstate FMUstate, fmi2Byt
     if (size < sizeof(struct fmi_saved_state)) {
         fmi_message(instance, "%s: size is %zu but %zu bytes are needed.", __func__, size,
                     sizeof(struct fmi_saved_state));
-        return report(instance, fmi2Error);
+        return fmi2_report(instance, fmi2Error);
     }
     memcpy(serializedState, FMUstate, sizeof(struct fmi_saved_state));
     return fmi2OK;
@@ -340,53 +317,17 @@ fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte serializedSta
     if (size != sizeof(struct fmi_saved_state)) {
         fmi_message(instance, "%s: size is %zu but a state has %zu bytes.", __func__, size,
                     sizeof(struct fmi_saved_state));
-        return report(instance, fmi2Error);
+        return fmi2_report(instance, fmi2Error);
     }
     if (*FMUstate == NULL) {
         *FMUstate = malloc(size);
     }
     if (*FMUstate == NULL) {
         fmi_message(instance, "%s: out of memory.", __func__);
-        return report(instance, fmi2Error);
+        return fmi2_report(instance, fmi2Error);
     }
     memcpy(*FMUstate, serializedState, size);
     return fmi2OK;
-}
-
-fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReference vUnknown_ref[], size_t nUnknown,
-                                        const fmi2ValueReference vKnown_ref[], size_t nKnown, const fmi2Real dvKnown[],
-                                        fmi2Real dvUnknown[])
-{
-    BEGIN(MODE_ANY)
-    (void)vUnknown_ref;
-    (void)nUnknown;
-    (void)vKnown_ref;
-    (void)nKnown;
-    (void)dvKnown;
-    (void)dvUnknown;
-    UNSUPPORTED("directional derivatives");
-}
-
-fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
-                                       const fmi2Integer order[], const fmi2Real value[])
-{
-    BEGIN(MODE_ANY)
-    (void)vr;
-    (void)nvr;
-    (void)order;
-    (void)value;
-    UNSUPPORTED("input derivatives");
-}
-
-fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
-                                        const fmi2Integer order[], fmi2Real value[])
-{
-    BEGIN(MODE_ANY)
-    (void)vr;
-    (void)nvr;
-    (void)order;
-    (void)value;
-    UNSUPPORTED("output derivatives");
 }
 
 fmi2Status fmi2DoStep(fmi2Component c, fmi2Real currentCommunicationPoint, fmi2Real communicationStepSize,
@@ -395,59 +336,7 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real currentCommunicationPoint, fmi2R
     BEGIN(MODE_STEP)
     (void)noSetFMUStatePriorToCurrentPoint;
     if (!fmi_step(instance, __func__, currentCommunicationPoint, communicationStepSize)) {
-        return report(instance, fmi2Error);
+        return fmi2_report(instance, fmi2Error);
     }
     return fmi2OK;
-}
-
-fmi2Status fmi2CancelStep(fmi2Component c)
-{
-    BEGIN(MODE_ANY)
-    UNSUPPORTED("asynchronous steps");
-}
-
-fmi2Status fmi2GetStatus(fmi2Component c, const fmi2StatusKind s, fmi2Status *value)
-{
-    BEGIN(MODE_ANY)
-    (void)s;
-    (void)value;
-    UNSUPPORTED("asynchronous steps");
-}
-
-fmi2Status fmi2GetRealStatus(fmi2Component c, const fmi2StatusKind s, fmi2Real *value)
-{
-    BEGIN(MODE_ANY)
-    NOT_NULL(value)
-    if (s == fmi2LastSuccessfulTime) {
-        *value = plant_time(&instance->plant);
-        return fmi2OK;
-    }
-    UNSUPPORTED("such real status");
-}
-
-fmi2Status fmi2GetIntegerStatus(fmi2Component c, const fmi2StatusKind s, fmi2Integer *value)
-{
-    BEGIN(MODE_ANY)
-    (void)s;
-    (void)value;
-    UNSUPPORTED("integer status");
-}
-
-fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind s, fmi2Boolean *value)
-{
-    BEGIN(MODE_ANY)
-    NOT_NULL(value)
-    if (s == fmi2Terminated) {
-        *value = fmi2False;
-        return fmi2OK;
-    }
-    UNSUPPORTED("such boolean status");
-}
-
-fmi2Status fmi2GetStringStatus(fmi2Component c, const fmi2StatusKind s, fmi2String *value)
-{
-    BEGIN(MODE_ANY)
-    (void)s;
-    (void)value;
-    UNSUPPORTED("string status");
 }
