@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -63,7 +64,7 @@ class Recorded:
         if values.size == 0:
             return []
         at = np.flatnonzero(np.diff(values, prepend=values[0] - 1.0))
-        names = database.facts(message).message.get_signal_by_name(signal).choices or {}
+        names: Mapping[int, Any] = database.facts(message).message.get_signal_by_name(signal).choices or {}
         return [Change(float(time_us[i]) * 1e-6, str(names.get(int(values[i]), f"{values[i]:g}"))) for i in at]
 
     def plans(self) -> Plans:

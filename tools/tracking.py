@@ -118,7 +118,8 @@ def tracking_errors(
 def _run(plan_index: NDArray[np.int64], plan: int, use: NDArray[np.bool_]) -> NDArray[np.int64]:
     """Samples of one plan: `plan_index` is sorted, so they are one run."""
     first, last = np.searchsorted(plan_index, [plan, plan + 1])
-    return np.flatnonzero(use[first:last]) + first
+    samples: NDArray[np.int64] = np.flatnonzero(use[first:last]) + first
+    return samples
 
 
 def tracking_table(errors: TrackingErrors) -> list[dict[str, object]]:
