@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bridge.states import CtState, SsmState, SysState
-from dbc.codec import MessageCodec, database
-from dbc.frames import iterate
+from dbc.codec import database
 
 
 @dataclass(frozen=True)
@@ -38,14 +37,9 @@ class FaultEvent:
 @dataclass(frozen=True)
 class _Machine:
     name: str
-    message: MessageCodec
-    signal: int
+    message: str
+    signal: str
     states: type[IntEnum]
-
-
-def _machine(name: str, message: str, signal: str, states: type[IntEnum]) -> _Machine:
-    codec = database.message(message)
-    return _Machine(name, codec, codec.signals.index(signal), states)
 
 
 class RunMonitor:
@@ -59,12 +53,12 @@ class RunMonitor:
 
     def __init__(self) -> None:
         self._machines = [
-            _machine("ssm", "ssm_status", "ssm_state", SsmState),
-            _machine("ct", "ct_report", "ct_state", CtState),
-            _machine("sys", "misc_report", "sys_state", SysState),
+            _Machine("ssm", "ssm_status", "ssm_state", SsmState),
+            _Machine("ct", "ct_report", "ct_state", CtState),
+            _Machine("sys", "misc_report", "sys_state", SysState),
         ]
-        self._fault = database.message("fault_event")
-        self._executive = database.message("executive_statistics")
+        names = ["fault_event", "executive_statistics", *(machine.message for machine in self._machines)]
+        self._identifiers = [database.message(name).frame_id for name in names]
         self._state: dict[str, int] = {}
         self.transitions: list[Transition] = []
         self.faults: list[FaultEvent] = []
@@ -73,23 +67,21 @@ class RunMonitor:
 
     def update(self, frames: NDArray[np.void]) -> None:
         """Take the next frames; array of `FRAME_DTYPE`."""
+        columns = database.decode_columns(frames[np.isin(frames["id"], self._identifiers)])
         for machine in self._machines:
-            self._follow(machine, _of(frames, machine.message))
-        for frame in iterate(_of(frames, self._fault).tobytes()):
-            fault_id, active, latched, reaction, detail = (int(value) for value in self._fault.decode(frame.data)[:5])
-            self.faults.append(FaultEvent(frame.time_us, fault_id, bool(active), bool(latched), reaction, detail))
-        statistics = _of(frames, self._executive)
-        if len(statistics):
-            values = self._executive.decode(statistics["data"][-1].tobytes())
-            self.executive_overruns, self.executive_late_frames = int(values[1]), int(values[2])
+            if machine.message in columns:
+                self._follow(machine, *columns[machine.message][machine.signal])
+        if "fault_event" in columns:
+            times = columns["fault_event"]["fault_id"][0]
+            for row in zip(times, *(values for _, values in columns["fault_event"].values()), strict=True):
+                time_us, fault_id, active, latched, reaction, detail = (int(value) for value in row[:6])
+                self.faults.append(FaultEvent(time_us, fault_id, bool(active), bool(latched), reaction, detail))
+        if "executive_statistics" in columns:
+            statistics = columns["executive_statistics"]
+            self.executive_overruns = int(statistics["executive_overruns"][1][-1])
+            self.executive_late_frames = int(statistics["executive_late_frames"][1][-1])
 
-    def _follow(self, machine: _Machine, frames: NDArray[np.void]) -> None:
-        if not len(frames):
-            return
-        signals = database.decode_columns(frames).get(machine.message.name)
-        if signals is None:
-            return
-        times, values = signals[machine.message.signals[machine.signal]]
+    def _follow(self, machine: _Machine, times: NDArray[np.uint64], values: NDArray[np.float64]) -> None:
         states = values.astype(np.int64)
         before = np.concatenate(([self._state.get(machine.name, -1)], states[:-1]))
         for place in np.flatnonzero(states != before):
@@ -97,11 +89,6 @@ class RunMonitor:
                 names = [_name(machine.states, int(code)) for code in (before[place], states[place])]
                 self.transitions.append(Transition(int(times[place]), machine.name, *names))
         self._state[machine.name] = int(states[-1])
-
-
-def _of(frames: NDArray[np.void], message: MessageCodec) -> NDArray[np.void]:
-    chosen: NDArray[np.void] = frames[(frames["id"] == message.frame_id) & (frames["bus"] == message.bus)]
-    return chosen
 
 
 def _name(states: type[IntEnum], code: int) -> str:

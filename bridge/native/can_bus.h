@@ -11,11 +11,11 @@
 #include <stdbool.h>
 #include <stdint.h>
 
+#include "can_wire.h"
 #include "common/can_frame.h"
 
 enum {
-    CAN_BUS_PENDING_MAX = 512,   /* frames waiting at once */
-    CAN_BUS_INTERFRAME_BITS = 3, /* intermission behind each frame */
+    CAN_BUS_PENDING_MAX = 512, /* frames waiting at once */
 };
 
 /* A frame that waits, with its rank: arbitration first, then order of submission. */
@@ -37,6 +37,7 @@ typedef struct can_bus_statistics {
 
 /* State of one bus: start it with can_bus_init. */
 typedef struct can_bus_model {
+    can_wire wire;
     uint32_t bit_ns;
     uint32_t pending_count;
     uint64_t sequence;
@@ -61,16 +62,5 @@ uint32_t can_bus_transmit(can_bus_model *self, uint64_t slot_start_us, uint64_t 
 
 /* Close a slot: count what stays pending. */
 void can_bus_end_slot(can_bus_model *self);
-
-/* Arbitration field as the wire orders it, most significant bit first; the lowest value wins. Error frames: 0. */
-uint32_t can_bus_arbitration(const can_frame *frame);
-
-/* CRC-15/CAN (poly 0x4599, init 0) over `count` bits, most significant bit of each byte first, starting so that
- * the last bit is the last one of `bytes`: leading bits of the first byte that are no part of the frame are 0. */
-uint16_t can_bus_crc15(const uint8_t *bytes, uint32_t length);
-
-/* Bits on the wire from start of frame to end of frame, stuff bits included, intermission not.
- * stuff_bits: receives their number; not null. An error frame counts 20: flag, its echo and delimiter. */
-uint32_t can_bus_frame_bits(const can_frame *frame, uint32_t *stuff_bits);
 
 #endif

@@ -13,6 +13,8 @@ from dbc.frames import FRAME_STRUCT, Bus, Station, iterate
 
 TICK_US = 10_000
 SEED = 7
+WIRE = ffi.new("can_wire *")
+lib.can_wire_init(WIRE)
 
 
 def frame(bus: Bus, identifier: int, data: bytes = bytes(8), flags: int = 0) -> bytes:
@@ -20,7 +22,7 @@ def frame(bus: Bus, identifier: int, data: bytes = bytes(8), flags: int = 0) -> 
 
 
 def wire_bits(raw: bytes) -> int:
-    return lib.can_bus_frame_bits(ffi.from_buffer("can_frame *", raw), ffi.new("uint32_t *"))
+    return lib.can_wire_bits(WIRE, ffi.from_buffer("can_frame *", raw), ffi.new("uint32_t *"))
 
 
 def one_tick(network: Network, station: Station, frames: bytes, *buses: Bus, tick: int = 0) -> None:

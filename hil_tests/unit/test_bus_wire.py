@@ -11,6 +11,8 @@ from crccheck.crc import Crc15
 from bridge._native import ffi, lib
 
 SEED = 20221103
+WIRE = ffi.new("can_wire *")
+lib.can_wire_init(WIRE)
 
 
 def make_frame(identifier: int, data: bytes = b"", extended: bool = False, remote: bool = False, dlc: int | None = None):
@@ -24,7 +26,7 @@ def make_frame(identifier: int, data: bytes = b"", extended: bool = False, remot
 
 def bits_of(frame) -> tuple[int, int]:
     stuff = ffi.new("uint32_t *")
-    return lib.can_bus_frame_bits(frame, stuff), stuff[0]
+    return lib.can_wire_bits(WIRE, frame, stuff), stuff[0]
 
 
 def reference(identifier: int, data: bytes, extended: bool, remote: bool, dlc: int) -> tuple[int, int]:
@@ -49,14 +51,14 @@ def reference(identifier: int, data: bytes, extended: bool, remote: bool, dlc: i
 
 def test_crc15_is_the_catalogued_one():
     text = b"123456789"
-    assert lib.can_bus_crc15(text, len(text)) == Crc15.calc(text) == 0x059E  # CRC-15/CAN
+    assert lib.can_wire_crc15(WIRE, text, len(text)) == Crc15.calc(text) == 0x059E  # CRC-15/CAN
 
 
 def test_crc15_of_random_bytes():
     generator = random.Random(SEED)
     for length in range(16):
         data = generator.randbytes(length)
-        assert lib.can_bus_crc15(data, length) == Crc15.calc(data), data.hex()
+        assert lib.can_wire_crc15(WIRE, data, length) == Crc15.calc(data), data.hex()
 
 
 @pytest.mark.parametrize("extended", [False, True])
@@ -95,7 +97,7 @@ def test_error_frame_has_no_data_and_wins():
     frame = make_frame(0x7FF, bytes(8))
     frame.flags = lib.CAN_FLAG_ERROR
     assert bits_of(frame) == (20, 0)
-    assert lib.can_bus_arbitration(frame) == 0
+    assert lib.can_wire_arbitration(frame) == 0
 
 
 def test_arbitration_orders_as_the_wire_does():
@@ -111,6 +113,6 @@ def test_arbitration_orders_as_the_wire_does():
         make_frame(0x101),
         make_frame(0x7FF << 18 | 0x3FFFF, extended=True),
     ]
-    keys = [lib.can_bus_arbitration(frame) for frame in ordered]
+    keys = [lib.can_wire_arbitration(frame) for frame in ordered]
     assert keys == sorted(keys)
     assert len(set(keys)) == len(keys)
