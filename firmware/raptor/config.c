@@ -9,7 +9,7 @@ const raptor_config raptor_config_default = {
     .pedal_conflict_us = 500000,
     .pedal_conflict_throttle = 0.10f,
     .pedal_conflict_brake = 5.0e5f,
-    .steer_jump = 1.570796f, /* 90 deg: 6 deg at the wheels within 10 ms is no driver's wish */
+    .steer_jump = 1.575160f, /* 90 deg and half a bit: 6 deg at the wheels within 10 ms is no driver's wish */
 
     .power_on_us = 500000,
     .crank_check_us = 200000,
