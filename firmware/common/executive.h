@@ -10,7 +10,7 @@
 #include <stdint.h>
 
 enum {
-    EXECUTIVE_FRAME_US = 10000, /* minor frame, 100 Hz */
+    EXECUTIVE_FRAME_US = 10000,  /* minor frame, 100 Hz */
     EXECUTIVE_MAJOR_FRAMES = 10, /* minor frames per major frame */
     EXECUTIVE_TASKS_MAX = 16,
 };
@@ -37,11 +37,11 @@ typedef uint64_t (*executive_clock)(void *clock_context);
 
 /* State of one executive: zero it to start. */
 typedef struct executive {
-    uint64_t frame;        /* minor frames started */
-    uint64_t expected_us;  /* when the next minor frame is due; 0 before the first */
-    uint32_t late_frames;  /* minor frames that started more than half a frame late */
+    uint64_t frame;         /* minor frames started */
+    uint64_t expected_us;   /* when the next minor frame is due; 0 before the first */
+    uint32_t late_frames;   /* minor frames that started more than half a frame late */
     uint32_t missed_frames; /* whole minor frames that never started */
-    uint32_t overruns;     /* minor frames whose tasks took longer than the frame */
+    uint32_t overruns;      /* minor frames whose tasks took longer than the frame */
     uint32_t worst_frame_us;
     executive_clock clock; /* null in lock step */
     void *clock_context;

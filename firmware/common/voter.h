@@ -9,9 +9,9 @@ enum { VOTER_CHANNELS = 3 };
 
 /* Outcome of one vote. */
 typedef struct voter_ballot {
-    float value;                          /* only meaningful when valid */
-    bool valid;                           /* two channels or more took part */
-    bool deviates[VOTER_CHANNELS];  /* took part and lies farther than the tolerance from the others */
+    float value;                   /* only meaningful when valid */
+    bool valid;                    /* two channels or more took part */
+    bool deviates[VOTER_CHANNELS]; /* took part and lies farther than the tolerance from the others */
 } voter_ballot;
 
 /* Vote.

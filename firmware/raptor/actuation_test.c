@@ -15,7 +15,7 @@ typedef struct test_row {
 
 /* Steering under held brake first, then the brake with straight wheels. */
 static const test_row rows[] = {
-    {0.0f, BRAKE_HOLD},  {1.0f, BRAKE_HOLD},    {-1.0f, BRAKE_HOLD}, {0.0f, BRAKE_HOLD},
+    {0.0f, BRAKE_HOLD},    {1.0f, BRAKE_HOLD},  {-1.0f, BRAKE_HOLD},   {0.0f, BRAKE_HOLD},
     {0.0f, BRAKE_RELEASE}, {0.0f, BRAKE_PULSE}, {0.0f, BRAKE_RELEASE}, {0.0f, BRAKE_PULSE},
 };
 
@@ -58,8 +58,8 @@ static bool near(float value, float expected, float tolerance)
 static bool step_fits(const raptor_test *self, const raptor_config *config, const raptor_test_input *input)
 {
     /* What leaves must be what the test wants: a larger brake command of the onboard computer is let through. */
-    bool fits = near(input->steer_request, self->steer, config->test_steer_tolerance) &&
-                input->brake_request >= self->brake;
+    bool fits =
+        near(input->steer_request, self->steer, config->test_steer_tolerance) && input->brake_request >= self->brake;
 
     for (uint32_t i = 0; i < RAPTOR_GATEWAY_CHANNELS; i++) {
         const raptor_gateway_channel *steer = &input->gateway->steer.channels[i];
@@ -77,8 +77,7 @@ static bool step_fits(const raptor_test *self, const raptor_config *config, cons
     return fits;
 }
 
-void raptor_test_step(raptor_test *self, const raptor_config *config, const raptor_test_input *input,
-                      uint64_t now_us)
+void raptor_test_step(raptor_test *self, const raptor_config *config, const raptor_test_input *input, uint64_t now_us)
 {
     if (self->result != RAPTOR_TEST_RUNNING) {
         return;

@@ -20,8 +20,8 @@ typedef struct raptor_test_input {
 
 /* State: raptor_test_start to start. */
 typedef struct raptor_test {
-    uint8_t step;        /* index of the running step */
-    uint8_t result;      /* enum raptor_test_result */
+    uint8_t step;   /* index of the running step */
+    uint8_t result; /* enum raptor_test_result */
     debounce fits;
     uint64_t entered_us; /* when the step began */
     float steer;         /* rad, wanted */
@@ -33,7 +33,6 @@ void raptor_test_start(raptor_test *self, const raptor_config *config, uint64_t 
 
 /* One tick: judge the running step, go on to the next. Afterwards self->steer and self->brake are what to request
  * and self->result tells how the test stands. A step that does not fit within its time fails the test. */
-void raptor_test_step(raptor_test *self, const raptor_config *config, const raptor_test_input *input,
-                      uint64_t now_us);
+void raptor_test_step(raptor_test *self, const raptor_config *config, const raptor_test_input *input, uint64_t now_us);
 
 #endif

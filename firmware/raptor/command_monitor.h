@@ -21,10 +21,10 @@ enum raptor_command_fault {
     RAPTOR_COMMAND_THROTTLE_TIMEOUT = 0x02,
     RAPTOR_COMMAND_STEERING_TIMEOUT = 0x04,
     RAPTOR_COMMAND_CT_REPORT_TIMEOUT = 0x08,
-    RAPTOR_COMMAND_COUNTER_STUCK = 0x10, /* one of the time-outs above is due to a counter that stands still */
-    RAPTOR_COMMAND_IMPLAUSIBLE = 0x20,   /* out of range, or a steering step that no driver makes */
+    RAPTOR_COMMAND_COUNTER_STUCK = 0x10,  /* one of the time-outs above is due to a counter that stands still */
+    RAPTOR_COMMAND_IMPLAUSIBLE = 0x20,    /* out of range, or a steering step that no driver makes */
     RAPTOR_COMMAND_PEDAL_CONFLICT = 0x40, /* accelerator and brake together */
-    RAPTOR_COMMAND_CT_STATE = 0x80,      /* ct_state contradicts sys_state, or is none at all */
+    RAPTOR_COMMAND_CT_STATE = 0x80,       /* ct_state contradicts sys_state, or is none at all */
 
     /* What adlink_hb_lost reports. */
     RAPTOR_COMMAND_ANY_TIMEOUT = 0x0F,

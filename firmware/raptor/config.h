@@ -18,37 +18,37 @@ typedef struct raptor_config {
     float steer_jump;              /* rad, largest step between two steering commands while driving */
 
     /* sys_state machine. */
-    uint32_t power_on_us;         /* least time in PWR_ON */
-    uint32_t crank_check_us;      /* how long the crank conditions must hold */
+    uint32_t power_on_us;          /* least time in PWR_ON */
+    uint32_t crank_check_us;       /* how long the crank conditions must hold */
     uint32_t crank_check_limit_us; /* time for them to be met */
-    uint32_t crank_limit_us;      /* starter time */
-    uint32_t engine_settle_us;    /* how long the engine must run by itself */
-    float engine_idle_minimum;    /* rad/s */
-    float battery_minimum;        /* V, for cranking */
-    float battery_maximum;        /* V */
-    float standstill_speed;       /* m/s */
+    uint32_t crank_limit_us;       /* starter time */
+    uint32_t engine_settle_us;     /* how long the engine must run by itself */
+    float engine_idle_minimum;     /* rad/s */
+    float battery_minimum;         /* V, for cranking */
+    float battery_maximum;         /* V */
+    float standstill_speed;        /* m/s */
 
     /* Actuation test. */
-    float test_steer;             /* rad, sweep to both sides */
-    float test_steer_tolerance;   /* rad */
-    float test_brake;             /* Pa, pulse */
-    float test_brake_release;     /* Pa, between the pulses */
-    float test_brake_required;    /* Pa, least pressure that the pulse must show */
-    float test_brake_tolerance;   /* Pa */
-    uint32_t test_settle_us;      /* how long the feedback must fit */
-    uint32_t test_step_limit_us;  /* time for a step of the test */
+    float test_steer;            /* rad, sweep to both sides */
+    float test_steer_tolerance;  /* rad */
+    float test_brake;            /* Pa, pulse */
+    float test_brake_release;    /* Pa, between the pulses */
+    float test_brake_required;   /* Pa, least pressure that the pulse must show */
+    float test_brake_tolerance;  /* Pa */
+    uint32_t test_settle_us;     /* how long the feedback must fit */
+    uint32_t test_step_limit_us; /* time for a step of the test */
 
     /* Brake. */
-    float brake_hold;                /* Pa, held outside DRIVING */
-    float brake_axle_share[2];       /* pressure of front and rear line over the request, at rest */
-    float brake_out_of_spec;         /* Pa, allowed error of a settled line */
-    float brake_out_of_spec_share;   /* of the expected pressure, allowed in addition */
-    float brake_settled_band;        /* Pa, a request inside this band counts as constant */
-    uint32_t brake_settle_us;        /* how long it must be constant before the lines are judged */
-    uint32_t brake_fault_us;         /* how long a line may then be out of spec */
+    float brake_hold;              /* Pa, held outside DRIVING */
+    float brake_axle_share[2];     /* pressure of front and rear line over the request, at rest */
+    float brake_out_of_spec;       /* Pa, allowed error of a settled line */
+    float brake_out_of_spec_share; /* of the expected pressure, allowed in addition */
+    float brake_settled_band;      /* Pa, a request inside this band counts as constant */
+    uint32_t brake_settle_us;      /* how long it must be constant before the lines are judged */
+    uint32_t brake_fault_us;       /* how long a line may then be out of spec */
 
     /* Engine. */
-    float engine_low_speed;  /* rad/s, below: est3 */
+    float engine_low_speed; /* rad/s, below: est3 */
     uint32_t engine_low_us;
 
     /* Gearbox. */

@@ -81,9 +81,8 @@ static void choose_gear(raptor_demand *self, const raptor_config *config, const 
     uint8_t target = self->gear;
 
     if (input->sys_state == RAPTOR_SYS_ENG_IDLE || input->sys_state == RAPTOR_SYS_DRIVING) {
-        const bool fresh =
-            commands->gear_rx.seen &&
-            !codec_timed_out(&commands->gear_rx, config->gear_timeout_ms, commands->since_us, now_us);
+        const bool fresh = commands->gear_rx.seen &&
+                           !codec_timed_out(&commands->gear_rx, config->gear_timeout_ms, commands->since_us, now_us);
         target = fresh ? commands->command.gear : self->gear;
     } else if (input->speed < config->standstill_speed) {
         target = 0; /* neutral once the car stands; rolling, the gear stays in */

@@ -11,10 +11,10 @@
 /* What one step reads. */
 typedef struct raptor_demand_input {
     const raptor_command_monitor *commands;
-    uint8_t sys_state;         /* enum raptor_sys */
-    float test_steer;          /* rad, wanted by the actuation test */
-    float test_brake;          /* Pa, wanted by the actuation test */
-    float steer_position;      /* rad, as the Space Drive reports it */
+    uint8_t sys_state;    /* enum raptor_sys */
+    float test_steer;     /* rad, wanted by the actuation test */
+    float test_brake;     /* Pa, wanted by the actuation test */
+    float steer_position; /* rad, as the Space Drive reports it */
     bool steer_position_known;
     bool engine_running;
     uint8_t gear;              /* engaged, 0..6 */
@@ -24,14 +24,14 @@ typedef struct raptor_demand_input {
 
 /* Demands in force. Zero it to start: raptor_demand_init does, with full brake. */
 typedef struct raptor_demand {
-    float steer;       /* rad, left positive */
-    float brake;       /* Pa */
-    float throttle;    /* 0..1 */
-    uint8_t gear;      /* 0..6 */
+    float steer;    /* rad, left positive */
+    float brake;    /* Pa */
+    float throttle; /* 0..1 */
+    uint8_t gear;   /* 0..6 */
     bool ignition;
     bool starter;
-    bool steer_held;   /* `steer` was set at least once */
-    bool shifted;      /* last_shift_us holds a time */
+    bool steer_held; /* `steer` was set at least once */
+    bool shifted;    /* last_shift_us holds a time */
     uint64_t last_shift_us;
 } raptor_demand;
 

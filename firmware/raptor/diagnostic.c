@@ -22,8 +22,8 @@ static bool brakes_judged(uint8_t sys_state)
 }
 
 /* A line is out of spec when a request that has not moved for a while is not answered by its pressure. */
-static uint32_t judge_brakes(raptor_diagnostic *self, const raptor_config *config,
-                             const raptor_diagnostic_input *input, uint64_t now_us)
+static uint32_t judge_brakes(raptor_diagnostic *self, const raptor_config *config, const raptor_diagnostic_input *input,
+                             uint64_t now_us)
 {
     static const uint32_t bits_of[2] = {RAPTOR_DIAG_EST1_FRONT_BRAKE, RAPTOR_DIAG_EST2_REAR_BRAKE};
     uint32_t bits = 0;
@@ -76,14 +76,14 @@ static uint32_t judge_space_drive(const raptor_gateway *gateway)
     return bits;
 }
 
-void raptor_diagnostic_step(raptor_diagnostic *self, const raptor_config *config,
-                            const raptor_diagnostic_input *input, uint64_t now_us)
+void raptor_diagnostic_step(raptor_diagnostic *self, const raptor_config *config, const raptor_diagnostic_input *input,
+                            uint64_t now_us)
 {
     uint32_t bits = judge_brakes(self, config, input, now_us) | judge_space_drive(input->gateway);
 
     const bool low_engine = !input->engine_running || !(input->engine_speed >= config->engine_low_speed);
-    if (debounce_step(&self->low_engine, input->sys_state == RAPTOR_SYS_DRIVING && low_engine,
-                      config->engine_low_us, now_us)) {
+    if (debounce_step(&self->low_engine, input->sys_state == RAPTOR_SYS_DRIVING && low_engine, config->engine_low_us,
+                      now_us)) {
         bits |= RAPTOR_DIAG_EST3_LOW_ENGINE;
     }
     if (input->obc_lost) {

@@ -31,28 +31,28 @@ enum raptor_diagnostic_bit {
 /* What one step reads. */
 typedef struct raptor_diagnostic_input {
     const raptor_gateway *gateway;
-    uint8_t sys_state;       /* enum raptor_sys */
-    bool obc_lost;           /* command time-out or ct_report stall */
+    uint8_t sys_state; /* enum raptor_sys */
+    bool obc_lost;     /* command time-out or ct_report stall */
     bool race_control_linked;
-    float brake_request;     /* Pa, in force since the last tick */
-    float brake_lines[2];    /* Pa, front and rear */
-    float engine_speed;      /* rad/s */
+    float brake_request;  /* Pa, in force since the last tick */
+    float brake_lines[2]; /* Pa, front and rear */
+    float engine_speed;   /* rad/s */
     bool engine_running;
 } raptor_diagnostic_input;
 
 /* State: zero it to start. */
 typedef struct raptor_diagnostic {
-    float settled_request;  /* Pa, the request around which it has stayed */
-    debounce settled;       /* request constant */
+    float settled_request; /* Pa, the request around which it has stayed */
+    debounce settled;      /* request constant */
     debounce out_of_spec[2];
     debounce low_engine;
-    uint32_t bits;          /* enum raptor_diagnostic_bit, now */
-    uint32_t latched;       /* triggers, and the lost computer, that led to the emergency shutdown */
+    uint32_t bits;    /* enum raptor_diagnostic_bit, now */
+    uint32_t latched; /* triggers, and the lost computer, that led to the emergency shutdown */
 } raptor_diagnostic;
 
 /* Once per tick: brings self->bits up to date. In EMERGENCY_SHUTDOWN the latched bits stay reported with them, so
  * that the cause can still be read. */
-void raptor_diagnostic_step(raptor_diagnostic *self, const raptor_config *config,
-                            const raptor_diagnostic_input *input, uint64_t now_us);
+void raptor_diagnostic_step(raptor_diagnostic *self, const raptor_config *config, const raptor_diagnostic_input *input,
+                            uint64_t now_us);
 
 #endif

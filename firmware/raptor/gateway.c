@@ -159,8 +159,7 @@ void raptor_gateway_send_requests(raptor_gateway *self, float steer_motor_angle,
     codec_status status;
 
     if (self->steer.known) {
-        can_frame *frame =
-            can_outbox_add(out, (uint8_t)CAN_BUS_3, SPACE_DRIVE_REQ_STEER_POS_FRAME_ID, 0, FRAME_BYTES);
+        can_frame *frame = can_outbox_add(out, (uint8_t)CAN_BUS_3, SPACE_DRIVE_REQ_STEER_POS_FRAME_ID, 0, FRAME_BYTES);
         if (frame != NULL) {
             float share = codec_clamp(steer_motor_angle / SPACE_DRIVE_STEER_STOP_RAD, -1.0f, 1.0f, &status);
             if (status == CODEC_NOT_FINITE) {

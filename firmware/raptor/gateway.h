@@ -41,8 +41,8 @@ typedef struct raptor_gateway {
     raptor_gateway_axis steer; /* rad, left positive */
     raptor_gateway_axis brake; /* Pa */
     debounce lost_timer;
-    bool lost;             /* an axis has been without two valid channels for too long: est4 */
-    bool emergency_brake;  /* two channels or more report the emergency brake: est6 */
+    bool lost;            /* an axis has been without two valid channels for too long: est4 */
+    bool emergency_brake; /* two channels or more report the emergency brake: est6 */
     bool started;
     uint64_t since_us;     /* start of supervision */
     uint8_t steer_counter; /* of the requests */

@@ -23,15 +23,15 @@ enum { RAPTOR_REPORTS = 35 }; /* messages that the Raptor sends on CAN1 */
 
 /* Race control as the car's radio delivers it. */
 typedef struct raptor_race_control {
-    bool linked;               /* a telegram arrived within the radio's own time-out */
-    uint8_t heartbeat;         /* 0..15, moves with every telegram (10 Hz) */
-    uint8_t track_flag;        /* MyLaps code, 0..15 */
-    uint8_t vehicle_flag;      /* MyLaps code, 0..15 */
-    uint8_t rank;              /* 0..15 */
+    bool linked;                /* a telegram arrived within the radio's own time-out */
+    uint8_t heartbeat;          /* 0..15, moves with every telegram (10 Hz) */
+    uint8_t track_flag;         /* MyLaps code, 0..15 */
+    uint8_t vehicle_flag;       /* MyLaps code, 0..15 */
+    uint8_t rank;               /* 0..15 */
     uint8_t round_target_speed; /* mph */
     uint8_t lap_count;
-    uint16_t lap_distance;     /* m */
-    float lap_time;            /* s, last lap */
+    uint16_t lap_distance; /* m */
+    float lap_time;        /* s, last lap */
     uint8_t marelli_track_flag;
     uint8_t marelli_vehicle_flag;
     uint8_t marelli_sector_flag;
@@ -39,28 +39,28 @@ typedef struct raptor_race_control {
 
 /* Signals wired to the Raptor. SI units; order of wheels FL, FR, RL, RR. */
 typedef struct raptor_wired_in {
-    float wheel_speed[4];       /* rad/s */
-    float wheel_load[4];        /* N, strain gauges */
-    float suspension_travel[4]; /* m, potentiometers; 0 at full droop, positive when compressed */
-    float engine_speed;         /* rad/s */
-    float throttle_position;    /* 0..1 */
-    float wheel_torque;         /* Nm, driven wheels together */
-    float brake_pressure_front; /* Pa */
-    float brake_pressure_rear;  /* Pa */
-    float fuel_pressure;        /* Pa */
-    float oil_pressure;         /* Pa */
-    float transmission_pressure; /* Pa */
-    float coolant_temperature;  /* degC */
-    float oil_temperature;      /* degC */
+    float wheel_speed[4];           /* rad/s */
+    float wheel_load[4];            /* N, strain gauges */
+    float suspension_travel[4];     /* m, potentiometers; 0 at full droop, positive when compressed */
+    float engine_speed;             /* rad/s */
+    float throttle_position;        /* 0..1 */
+    float wheel_torque;             /* Nm, driven wheels together */
+    float brake_pressure_front;     /* Pa */
+    float brake_pressure_rear;      /* Pa */
+    float fuel_pressure;            /* Pa */
+    float oil_pressure;             /* Pa */
+    float transmission_pressure;    /* Pa */
+    float coolant_temperature;      /* degC */
+    float oil_temperature;          /* degC */
     float transmission_temperature; /* degC */
-    float tyre_temperature[4];  /* degC */
-    float tyre_pressure[4];     /* Pa, absolute; 0: no sensor, its frame stays away */
-    float battery_voltage;      /* V */
-    uint8_t gear;               /* 0..6 */
-    uint8_t gear_shift_status;  /* 0 uninitialised, 1 ready, 2 locked out, 3 upshift, 4 downshift */
+    float tyre_temperature[4];      /* degC */
+    float tyre_pressure[4];         /* Pa, absolute; 0: no sensor, its frame stays away */
+    float battery_voltage;          /* V */
+    uint8_t gear;                   /* 0..6 */
+    uint8_t gear_shift_status;      /* 0 uninitialised, 1 ready, 2 locked out, 3 upshift, 4 downshift */
     bool engine_running;
-    uint8_t safety_switch;      /* position 0..7; 3 enables the actuation test, 4 the engine */
-    bool mode_switch;           /* true: autonomous */
+    uint8_t safety_switch; /* position 0..7; 3 enables the actuation test, 4 the engine */
+    bool mode_switch;      /* true: autonomous */
     raptor_race_control race_control;
 } raptor_wired_in;
 
@@ -82,8 +82,8 @@ typedef struct raptor {
     raptor_sys_machine sys;
     raptor_test test;
     raptor_demand demand;
-    float speed;       /* m/s, from the undriven wheels */
-    float wheel_speed[4]; /* m/s at the tread */
+    float speed;                             /* m/s, from the undriven wheels */
+    float wheel_speed[4];                    /* m/s at the tread */
     uint8_t report_counters[RAPTOR_REPORTS]; /* message counters of the reports, by row of their table */
 } raptor;
 

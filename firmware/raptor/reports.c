@@ -249,8 +249,8 @@ static bool fill_marelli(const report_source *source, uint8_t data[CAN_DATA_MAX]
 }
 
 #define REPORT(name, period, offset, fill) {RAPTOR_##name##_FRAME_ID, RAPTOR_##name##_LENGTH, period, offset, fill}
-#define TYRE_PRESSURE(name, offset) REPORT(TIRE_PRESSURE_##name, 10, offset, fill_tyre_pressure)
-#define TYRE_TEMPERATURE(name, offset) REPORT(TIRE_TEMP_##name, 10, offset, fill_tyre_temperature)
+#define TYRE_PRESSURE(name, offset)        REPORT(TIRE_PRESSURE_##name, 10, offset, fill_tyre_pressure)
+#define TYRE_TEMPERATURE(name, offset)     REPORT(TIRE_TEMP_##name, 10, offset, fill_tyre_temperature)
 
 /* Two tyre frames and at most one other 10 Hz frame per minor frame: an even load instead of a burst. */
 static const report_row rows[RAPTOR_REPORTS] = {
@@ -291,8 +291,7 @@ static const report_row rows[RAPTOR_REPORTS] = {
     TYRE_TEMPERATURE(RR_4, 9),
 };
 
-void raptor_reports_send(raptor *self, const raptor_wired_in *wired, uint64_t frame, uint64_t now_us,
-                         can_outbox *out)
+void raptor_reports_send(raptor *self, const raptor_wired_in *wired, uint64_t frame, uint64_t now_us, can_outbox *out)
 {
     for (uint32_t i = 0; i < RAPTOR_REPORTS; i++) {
         const report_row *row = &rows[i];

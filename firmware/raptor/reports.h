@@ -14,7 +14,6 @@
 
 /* Send what is due in minor frame number `frame`. Values are saturated to what their signal declares; NaN becomes
  * the signal's minimum. */
-void raptor_reports_send(raptor *self, const raptor_wired_in *wired, uint64_t frame, uint64_t now_us,
-                         can_outbox *out);
+void raptor_reports_send(raptor *self, const raptor_wired_in *wired, uint64_t frame, uint64_t now_us, can_outbox *out);
 
 #endif

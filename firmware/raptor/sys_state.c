@@ -23,8 +23,8 @@ static bool supervised(uint8_t state)
 static bool engine_enabled(uint8_t state)
 {
     return state == RAPTOR_SYS_CRANKREADY || state == RAPTOR_SYS_CRANK_CHECK_INIT ||
-           state == RAPTOR_SYS_CRANK_CHECKS_PASSED || state == RAPTOR_SYS_CRANKING ||
-           state == RAPTOR_SYS_ENG_IDLE || state == RAPTOR_SYS_DRIVING;
+           state == RAPTOR_SYS_CRANK_CHECKS_PASSED || state == RAPTOR_SYS_CRANKING || state == RAPTOR_SYS_ENG_IDLE ||
+           state == RAPTOR_SYS_DRIVING;
 }
 
 static bool flag_is(const raptor_sys_input *input, uint8_t flag)
@@ -48,9 +48,8 @@ static uint8_t after_act_test_passed(const raptor_sys_input *input)
     if (input->safety_switch < SWITCH_ACTUATION_TEST) {
         return RAPTOR_SYS_SUBSYS_CON;
     }
-    return input->ct_state == RAPTOR_CT_ACT_TEST && input->safety_switch == SWITCH_ENGINE
-               ? RAPTOR_SYS_CRANKREADY
-               : RAPTOR_SYS_ACT_TEST_PASSED;
+    return input->ct_state == RAPTOR_CT_ACT_TEST && input->safety_switch == SWITCH_ENGINE ? RAPTOR_SYS_CRANKREADY
+                                                                                          : RAPTOR_SYS_ACT_TEST_PASSED;
 }
 
 /* The ordinary way on from a state; emergencies and shutdown were looked at before. */

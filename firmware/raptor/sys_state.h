@@ -18,21 +18,21 @@ enum raptor_test_result {
 
 /* Everything that one step reads. */
 typedef struct raptor_sys_input {
-    bool subsystems_ready;   /* all six Space Drive positions valid, onboard computer alive */
-    bool emergency;          /* an emergency-stop trigger or a command fault is present */
-    bool track_flag_valid;   /* race control is linked */
-    uint8_t track_flag;      /* enum raptor_track_flag */
-    uint16_t ct_state;       /* enum raptor_ct; 0 before the first ct_report */
-    uint8_t safety_switch;   /* position 0..7 */
-    uint8_t test_result;     /* enum raptor_test_result, of the test that runs in ACT_TESTING */
-    bool crank_conditions;   /* brake held, neutral, battery within its limits */
-    bool engine_running;     /* by itself, at idle speed or above */
-    bool engine_stopped;     /* stands still */
+    bool subsystems_ready; /* all six Space Drive positions valid, onboard computer alive */
+    bool emergency;        /* an emergency-stop trigger or a command fault is present */
+    bool track_flag_valid; /* race control is linked */
+    uint8_t track_flag;    /* enum raptor_track_flag */
+    uint16_t ct_state;     /* enum raptor_ct; 0 before the first ct_report */
+    uint8_t safety_switch; /* position 0..7 */
+    uint8_t test_result;   /* enum raptor_test_result, of the test that runs in ACT_TESTING */
+    bool crank_conditions; /* brake held, neutral, battery within its limits */
+    bool engine_running;   /* by itself, at idle speed or above */
+    bool engine_stopped;   /* stands still */
 } raptor_sys_input;
 
 /* State: raptor_sys_init to start. */
 typedef struct raptor_sys_machine {
-    uint8_t state;       /* enum raptor_sys */
+    uint8_t state; /* enum raptor_sys */
     bool started;
     uint64_t entered_us; /* when `state` was entered */
     debounce conditions; /* crank checks, engine running */

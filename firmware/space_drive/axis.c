@@ -15,8 +15,7 @@ static float position_of(const space_drive_axis_config *config, uint16_t counts)
 
 uint16_t space_drive_axis_counts(const space_drive_axis_config *config, float position)
 {
-    const float share =
-        (position - config->position_at_zero) / (config->position_at_max - config->position_at_zero);
+    const float share = (position - config->position_at_zero) / (config->position_at_max - config->position_at_zero);
     return (uint16_t)lroundf(clamp(share, 0.0f, 1.0f) * (float)config->counts_max);
 }
 
@@ -102,7 +101,8 @@ static void vote_demand(space_drive_axis *self, const space_drive_axis_config *c
         demands[i] = channel->demand;
     }
     const voter_ballot ballot = voter_vote(demands, usable, config->deviation);
-    /* Of two demands that differ nobody knows the right one: the last agreed one stands. A median needs no such care. */
+    /* Of two demands that differ nobody knows the right one: the last agreed one stands. A median needs no such care.
+     */
     const bool split = voters == 2U && (ballot.deviates[0] || ballot.deviates[1] || ballot.deviates[2]);
     if (ballot.valid && !split) {
         self->demand = ballot.value;

@@ -38,12 +38,12 @@ typedef struct space_drive_channel {
     space_drive_request request;
     debounce sensor_fault;
     debounce disagreement;
-    float position;          /* own sensor, axis unit; only meaningful while sensor_valid */
-    float demand;            /* own demand, axis unit */
-    bool sensor_valid;       /* finite and inside its range now */
-    bool excluded;           /* until restart */
-    bool sensor_failed;      /* why: invalid reading */
-    bool implausible;        /* why: outvoted */
+    float position;     /* own sensor, axis unit; only meaningful while sensor_valid */
+    float demand;       /* own demand, axis unit */
+    bool sensor_valid;  /* finite and inside its range now */
+    bool excluded;      /* until restart */
+    bool sensor_failed; /* why: invalid reading */
+    bool implausible;   /* why: outvoted */
 } space_drive_channel;
 
 /* State of one axis: zero it to start. */

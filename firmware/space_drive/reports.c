@@ -42,9 +42,8 @@ static void send_positions(const space_drive_axis *axis, const space_drive_axis_
         }
         const bool plausible = channel->sensor_valid && !channel->excluded;
         const struct space_drive_calb_steer_pos_1_t message = {
-            .cur_steer_pos_steering_pos_1 = channel->sensor_valid
-                                                ? space_drive_axis_counts(config, channel->position)
-                                                : (uint16_t)SPACE_DRIVE_INVALID,
+            .cur_steer_pos_steering_pos_1 = channel->sensor_valid ? space_drive_axis_counts(config, channel->position)
+                                                                  : (uint16_t)SPACE_DRIVE_INVALID,
             .plausibity = (uint8_t)(plausible ? SPACE_DRIVE_PLAUSIBLE : SPACE_DRIVE_NOT_PLAUSIBLE),
         };
         (void)space_drive_calb_steer_pos_1_pack(frame->data, &message, sizeof frame->data);

@@ -29,8 +29,7 @@ static bool take_content(space_drive_request *self, const can_frame *frame, uint
 void space_drive_request_receive(space_drive_request *self, const can_frame *frame, uint16_t counts_max,
                                  uint16_t bad_limit, uint64_t now_us)
 {
-    const bool good =
-        codec_receive(&self->rx, frame, now_us) == CODEC_OK && take_content(self, frame, counts_max);
+    const bool good = codec_receive(&self->rx, frame, now_us) == CODEC_OK && take_content(self, frame, counts_max);
 
     if (good) {
         self->bad_in_row = 0;

@@ -15,17 +15,17 @@
 enum space_drive_request_state {
     SPACE_DRIVE_REQUEST_WAITING = 0, /* none was valid yet: nothing moves */
     SPACE_DRIVE_REQUEST_FRESH = 1,
-    SPACE_DRIVE_REQUEST_LOST = 2,    /* stopped, or too many bad in a row; a good one makes it fresh again */
+    SPACE_DRIVE_REQUEST_LOST = 2, /* stopped, or too many bad in a row; a good one makes it fresh again */
 };
 
 /* State of one receiver: zero it to start. */
 typedef struct space_drive_request {
     codec_rx rx;
     uint64_t last_valid_us;
-    uint16_t counts;     /* position of the last valid request */
-    uint16_t speed_kmh;  /* vehicle speed in it; only the steering request carries one */
+    uint16_t counts;    /* position of the last valid request */
+    uint16_t speed_kmh; /* vehicle speed in it; only the steering request carries one */
     uint16_t bad_in_row;
-    uint8_t state;       /* enum space_drive_request_state */
+    uint8_t state; /* enum space_drive_request_state */
 } space_drive_request;
 
 /* Judge one request frame (id 0x20 or 0x21). It is bad when the codec rejects it (short, remote, counter stuck,

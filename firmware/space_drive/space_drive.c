@@ -12,9 +12,9 @@ const space_drive_config space_drive_config_default = {
             .position_at_max = SPACE_DRIVE_STEER_STOP_RAD,
             .sensor_minimum = -4.363323f, /* 250 deg: behind the stop no sensor can be */
             .sensor_maximum = 4.363323f,
-            .deviation = 0.087266f,       /* 5 deg at the motor, a third of a degree at the wheel */
-            .lead = 1.047198f,            /* 60 deg: more than the motor can make up within its delay */
-            .safe_demand_valid = false,   /* stay where the wheels are */
+            .deviation = 0.087266f,     /* 5 deg at the motor, a third of a degree at the wheel */
+            .lead = 1.047198f,          /* 60 deg: more than the motor can make up within its delay */
+            .safe_demand_valid = false, /* stay where the wheels are */
             .counts_max = SPACE_DRIVE_STOP,
             .bad_limit = 3,
             .timeout_us = 50000,
@@ -125,8 +125,8 @@ static void control(void *context)
     space_drive_axis_step(&self->brake, &self->config.brake, tick->wired->brake_pressure, tick->now_us);
     self->emergency |= find_emergency(self);
 
-    const bool released = self->emergency == 0 && !self->shutdown && self->steer.ready && self->brake.ready &&
-                          self->brake.demand_valid;
+    const bool released =
+        self->emergency == 0 && !self->shutdown && self->steer.ready && self->brake.ready && self->brake.demand_valid;
     self->brake_demand = released ? self->brake.demand : SPACE_DRIVE_BRAKE_STOP_PA;
     tick->drive->brake_pressure_demand = self->brake_demand;
     tick->drive->steer_motor_demand = self->steer.demand;

@@ -30,7 +30,7 @@ enum {
 
 /* Ends of travel behind the counts. */
 #define SPACE_DRIVE_STEER_STOP_RAD 4.18879020f /* 240 degrees at the motor */
-#define SPACE_DRIVE_BRAKE_STOP_PA 6.0e6f       /* full brake */
+#define SPACE_DRIVE_BRAKE_STOP_PA  6.0e6f      /* full brake */
 
 /* Signals wired to the Space Drive. */
 typedef struct space_drive_wired_in {

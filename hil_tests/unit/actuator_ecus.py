@@ -11,7 +11,6 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from bridge._native import ffi, lib
-
 from dbc.codec import database
 from dbc.frames import FRAME_SIZE, Bus, Frame, iterate
 

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
+
 from bridge._native import ffi, lib
 
 FRAME_US = 10_000

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import pairwise
 
 import pytest
 from actuator_ecus import DEG, FULL_BRAKE, TICK_US, YELLOW, Car, Computer, car_in, message_frame
@@ -305,7 +306,7 @@ def test_gears_go_one_by_one_when_the_gearbox_is_ready() -> None:
             gear = car.drive.gear_demand
             changes.append((car.now_us, gear))
     assert [g for _, g in changes] == [1, 2, 3, 4, 5, 6]
-    assert all(later - earlier >= 300_000 for (earlier, _), (later, _) in zip(changes, changes[1:], strict=False))
+    assert all(later - earlier >= 300_000 for (earlier, _), (later, _) in pairwise(changes))
     car.computer.gear = 4
     car.run(100)
     assert car.drive.gear_demand == 4

@@ -6,8 +6,8 @@ from collections import Counter
 
 import pytest
 from actuator_ecus import DEG, FULL_BRAKE, Outbox, Requests, SpaceDrive
-from bridge._native import ffi, lib
 
+from bridge._native import ffi, lib
 from dbc.codec import database
 from dbc.frames import Bus, Station
 from dbc.network import load_network

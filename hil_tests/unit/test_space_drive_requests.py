@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 import pytest
 from actuator_ecus import DEG, FULL_BRAKE, TICK_US, Requests, SpaceDrive, message_frame
-from bridge._native import ffi, lib
 
+from bridge._native import ffi, lib
 from dbc.frames import Bus, Flag, iterate
 
 STEER = lib.SPACE_DRIVE_EMERGENCY_STEER_REQUESTS

@@ -7,6 +7,7 @@ import random
 
 import pytest
 from actuator_ecus import DEG, FULL_BRAKE, Requests, SpaceDrive
+
 from bridge._native import ffi, lib
 
 NAN, INF = math.nan, math.inf
