@@ -26,7 +26,7 @@ from bridge.sensors.truth import TruthReader
 from bridge.tap import Taps
 from bridge.wiring import Wiring
 from dbc.codec import database
-from dbc.errors import ConfigurationError, PlantError, RaceloopError
+from dbc.errors import ConfigurationError, PlantError
 from dbc.frames import Bus, Station
 from firmware.parameters import parameter_frames
 from plant_fmu import fmu_path
@@ -73,6 +73,8 @@ class Bench:
     ----------
     network, plant, operator, race_control, monitor, laps : the parts, for inspection.
     obc, raptor, space_drive : the ECUs' C structs.
+    silent : stations without power: they neither hear nor send, an ECU does not tick. A silent Raptor's outputs fall
+        off; a silent Space Drive's motors stay where they are.
     now_us : start of the next tick.
     """
 
@@ -102,6 +104,7 @@ class Bench:
         lib.obc_init(self.obc)
         lib.raptor_init(self.raptor, ffi.NULL)
         lib.space_drive_init(self.space_drive, ffi.NULL)
+        self.silent: set[Station] = set()
         self.now_us = 0
         self.lost_in_outboxes = 0
         self._road = road
@@ -168,6 +171,9 @@ class Bench:
     def tick(self) -> None:
         """One minor frame, in the order that never changes."""
         now_us, network, wiring = self.now_us, self.network, self.wiring
+        if network.log_half_full:
+            self._drain()
+        logged = network.logged()
         network.begin_tick(now_us, now_us + TICK_US)
 
         # Scenario events, and what comes in from outside.
@@ -178,25 +184,37 @@ class Bench:
 
         # The plant is sampled; sensors emit.
         wiring.sense()
-        network.submit(Station.SENSORS, self._sensors.emit(now_us, self.truth))
+        sensed = self._sensors.emit(now_us, self.truth)
+        if self._speaks(Station.SENSORS):
+            network.submit(Station.SENSORS, sensed)
         network.transmit(Bus.CAN_S)
 
         # Operator and autonomy.
-        network.submit(Station.OPERATOR, self.operator.tick(now_us, network.take(Station.OPERATOR)))
-        network.submit(Station.AUTONOMY, self._autonomy.tick(now_us, network.take(Station.AUTONOMY)))
+        if self._speaks(Station.OPERATOR):
+            network.submit(Station.OPERATOR, self.operator.tick(now_us, network.take(Station.OPERATOR)))
+        if self._speaks(Station.AUTONOMY):
+            network.submit(Station.AUTONOMY, self._autonomy.tick(now_us, network.take(Station.AUTONOMY)))
         network.transmit(Bus.CAN_A)
 
         # ECUs.
-        lost = lib.bench_obc_tick(network.handle, self.obc, now_us)
+        if self._speaks(Station.OBC):
+            self.lost_in_outboxes += lib.bench_obc_tick(network.handle, self.obc, now_us)
         network.transmit(Bus.CAN1, Bus.CAN_A)
-        lost += lib.bench_raptor_tick(network.handle, self.raptor, now_us, wiring.raptor_in, wiring.raptor_out)
+        if self._speaks(Station.RAPTOR):
+            self.lost_in_outboxes += lib.bench_raptor_tick(
+                network.handle, self.raptor, now_us, wiring.raptor_in, wiring.raptor_out
+            )
+        else:
+            wiring.release_raptor()
         network.transmit(Bus.CAN1, Bus.CAN3)
-        lost += lib.bench_space_drive_tick(
-            network.handle, self.space_drive, now_us, wiring.space_drive_in, wiring.space_drive_out
-        )
+        if self._speaks(Station.SPACE_DRIVE):
+            self.lost_in_outboxes += lib.bench_space_drive_tick(
+                network.handle, self.space_drive, now_us, wiring.space_drive_in, wiring.space_drive_out
+            )
         network.transmit(Bus.CAN3)
         network.end_tick()
-        self.lost_in_outboxes += lost
+        if self._taps is not None:
+            self._taps.mirror(network.log_view(logged))
 
         # The plant moves on.
         wiring.drive()
@@ -207,7 +225,6 @@ class Bench:
 
         self.now_us = now_us + TICK_US
         self._observe()
-        self._empty_log()
 
     def run(
         self,
@@ -282,18 +299,18 @@ class Bench:
         laps = self.laps.laps_s
         return laps[-1] if laps else 0.0
 
-    def _empty_log(self) -> None:
-        if self._taps is not None:
-            self._taps.mirror(self._drain())
-        elif self.network.log_half_full:
-            self._drain()
+    def _speaks(self, station: Station) -> bool:
+        """True unless the station is silent; then what it would have heard is gone."""
+        if station not in self.silent:
+            return True
+        self.network.take(station)
+        return False
 
-    def _drain(self) -> Any:
+    def _drain(self) -> None:
         frames = self.network.drain_log()
         self.monitor.update(frames)
         if self._recorder is not None:
             self._recorder.add_frames(frames)
-        return frames
 
 
 def _fmu_of(scenario: Scenario) -> Path:

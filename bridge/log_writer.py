@@ -120,9 +120,13 @@ class SignalTables:
         facts = database.facts(name)
         units = {item.name: item.unit or "" for item in facts.message.signals}
         fields = [_field("time_us", pa.int64(), "us")]
-        fields += [_field(signal_name, pa.float64(), units[signal_name]) for signal_name in database.message(name).signals]
+        fields += [
+            _field(signal_name, pa.float64(), units[signal_name]) for signal_name in database.message(name).signals
+        ]
         metadata = {"message": name, "bus": CHANNELS[facts.bus], "id": str(facts.message.frame_id)}
-        return pq.ParquetWriter(self._folder / f"{name}.parquet", pa.schema(fields, metadata=metadata), compression="zstd")
+        return pq.ParquetWriter(
+            self._folder / f"{name}.parquet", pa.schema(fields, metadata=metadata), compression="zstd"
+        )
 
 
 class TruthTable:

@@ -66,7 +66,8 @@ class OperatorStation:
         if self.listening:
             self._listen(frames)
         if self._pending:
-            sent, self._pending = self._pending[: WRITES_PER_TICK * FRAME_SIZE], self._pending[WRITES_PER_TICK * FRAME_SIZE :]
+            size = WRITES_PER_TICK * FRAME_SIZE
+            sent, self._pending = self._pending[:size], self._pending[size:]
             return sent
         if now_us % LAUNCH_PERIOD_US == 0:
             self._counter = (self._counter + 1) & 0xFF

@@ -59,7 +59,9 @@ _NUMBERS: Mapping[str, Any] = {
 class _Group:
     """Variables of one FMI type that are set or got in one call, and their places in the array of all."""
 
-    def __init__(self, fmu: Any, call: str, fmi_type: str, variables: Sequence[ModelVariable], places: list[int]) -> None:
+    def __init__(
+        self, fmu: Any, call: str, fmi_type: str, variables: Sequence[ModelVariable], places: list[int]
+    ) -> None:
         is_fmi2 = isinstance(fmu, fmi2.FMU2Slave)
         number = _NUMBERS[fmi_type] or (ctypes.c_int if is_fmi2 else ctypes.c_bool)
         self._function: Callable[..., int] = getattr(fmu, f"fmi{2 if is_fmi2 else 3}{call}{fmi_type}")

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -66,7 +67,7 @@ def read_log(path: Path) -> NDArray[np.void]:
     """
     if path.suffix not in (".log", ".blf"):
         raise ConfigurationError(path, "", "unknown kind of log; allowed are .log (candump) and .blf")
-    buses: dict[int | str | None, Bus] = (
+    buses: dict[Any, Bus] = (
         {name: bus for bus, name in CHANNELS.items()} if path.suffix == ".log" else {int(bus): bus for bus in Bus}
     )
     frames = bytearray()
@@ -111,7 +112,7 @@ def _run(inbox: NDArray[np.void], bounds: NDArray[np.int64]) -> Iterator[NDArray
     out: Any = ffi.new("can_outbox *")
     storage: Any = ffi.new("can_frame[]", lib.BENCH_OUTBOX_MAX)
     out.frames, out.capacity = storage, lib.BENCH_OUTBOX_MAX
-    for number, (start, stop) in enumerate(zip(bounds[:-1], bounds[1:], strict=True)):
+    for number, (start, stop) in enumerate(pairwise(bounds)):
         out.count = 0
         received = inbox[start:stop].tobytes()
         lib.obc_tick(obc, number * _TICK_US, ffi.from_buffer("can_frame[]", received), int(stop - start), out)
@@ -140,5 +141,4 @@ def _messages(path: Path) -> Iterator[can.Message]:
     if path.suffix == ".log":
         yield from CanutilsLogReader(path)
         return
-    for message in BLFReader(path):
-        yield message
+    yield from BLFReader(path)

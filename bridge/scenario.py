@@ -148,7 +148,9 @@ def load_scenario(path: Path) -> Scenario:
         fmu=path.parent / plant["fmu"] if "fmu" in plant else None,
         start_s_m=float(content["start"]["s_m"]),
         start_d_m=float(content["start"]["d_m"]),
-        safety_switch=tuple(SwitchStep(_condition(step["when"]), step["position"]) for step in content["safety_switch"]),
+        safety_switch=tuple(
+            SwitchStep(_condition(step["when"]), step["position"]) for step in content["safety_switch"]
+        ),
         race_control=tuple(_flag_step(step) for step in content["race_control"]),
         finish=_condition(content["finish"]),
         time_limit_us=_microseconds(content["time_limit_s"]),
@@ -179,9 +181,10 @@ def _schema() -> dict[str, Any]:
 
 
 def _referenced(scenario: Path, content: Mapping[str, Any], key: str) -> Path:
-    path = (scenario.parent / content[key]).resolve()
+    name: str = content[key]
+    path = (scenario.parent / name).resolve()
     if not path.is_file():
-        raise ConfigurationError(scenario, key, f"no such file: {content[key]}")
+        raise ConfigurationError(scenario, key, f"no such file: {name}")
     return path
 
 

@@ -41,6 +41,10 @@ class Wiring:
         """ECUs' outputs to the plant's inputs."""
         lib.wiring_drive(self.raptor_out, self.space_drive_out, self._inputs)
 
+    def release_raptor(self) -> None:
+        """Let the Raptor's outputs fall off, as without power: throttle closed, ignition and starter off."""
+        ffi.memmove(self.raptor_out, bytes(ffi.sizeof("raptor_wired_out")), ffi.sizeof("raptor_wired_out"))
+
     def lay_road(self, bank: float, grade: float) -> None:
         """Put the road under the car; rad."""
         self._inputs[lib.PLANT_IN_ROAD_BANK] = bank

@@ -78,8 +78,8 @@ void network_transmit(network *self, uint8_t bus)
     if (bus >= CAN_BUS_COUNT) {
         return;
     }
-    const uint32_t count = can_bus_transmit(&self->buses[bus], self->slot_start_us, self->slot_end_us, self->scratch,
-                                            CAN_BUS_PENDING_MAX);
+    const uint32_t count =
+        can_bus_transmit(&self->buses[bus], self->slot_start_us, self->slot_end_us, self->scratch, CAN_BUS_PENDING_MAX);
     for (uint32_t i = 0; i < count; i++) {
         deliver(self, &self->scratch[i]);
     }
