@@ -15,7 +15,9 @@ WIRE = ffi.new("can_wire *")
 lib.can_wire_init(WIRE)
 
 
-def make_frame(identifier: int, data: bytes = b"", extended: bool = False, remote: bool = False, dlc: int | None = None):
+def make_frame(
+    identifier: int, data: bytes = b"", extended: bool = False, remote: bool = False, dlc: int | None = None
+):
     frame = ffi.new("can_frame *")
     frame.id = identifier
     frame.dlc = len(data) if dlc is None else dlc

@@ -58,7 +58,9 @@ def test_noise_has_the_variance_and_correlation_of_its_model():
 def test_noise_starts_in_its_stationary_distribution_and_runs_on_over_blocks():
     starts = []
     for child in np.random.SeedSequence(SEED).spawn(4000):
-        noise = DriftingNoise(np.random.default_rng(child), white=[0.0], drift=[1.0], time_constant_s=100.0, period_s=0.01)
+        noise = DriftingNoise(
+            np.random.default_rng(child), white=[0.0], drift=[1.0], time_constant_s=100.0, period_s=0.01
+        )
         starts.append(noise.block(1)[0, 0])
     assert np.std(starts) == pytest.approx(1.0, rel=0.05)
     noise = DriftingNoise(generator(), white=[0.0], drift=[1.0], time_constant_s=100.0, period_s=0.01)
@@ -141,8 +143,16 @@ def test_wgs84_against_an_iterated_inverse():
         axes = np.array(
             [
                 [-math.sin(longitude), math.cos(longitude), 0.0],
-                [-math.sin(latitude) * math.cos(longitude), -math.sin(latitude) * math.sin(longitude), math.cos(latitude)],
-                [math.cos(latitude) * math.cos(longitude), math.cos(latitude) * math.sin(longitude), math.sin(latitude)],
+                [
+                    -math.sin(latitude) * math.cos(longitude),
+                    -math.sin(latitude) * math.sin(longitude),
+                    math.cos(latitude),
+                ],
+                [
+                    math.cos(latitude) * math.cos(longitude),
+                    math.cos(latitude) * math.sin(longitude),
+                    math.sin(latitude),
+                ],
             ]
         )
         assert axes @ (point - origin) == pytest.approx([east, north, up], abs=1e-4)
