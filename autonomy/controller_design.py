@@ -39,6 +39,7 @@ ENGINE_SPEEDS = 32
 ENGINE_SPEED_STEP = 250.0 * math.pi / 30.0  # rad/s
 THROTTLES = 11
 GEARS = 6
+CORNERING_SHARE = 0.85  # of the longitudinal slip stiffness that side slip and drive leave in a fast turn
 STEER_STEP = math.radians(0.5)  # at the motor: steering_cmd's step on CAN1
 
 
@@ -252,8 +253,9 @@ def tables(parameters: Mapping[str, float], file: Path = VEHICLE_FILE) -> dict[s
         "stiffness_peak_front": car.stiffness_peak("front"),
         "stiffness_peak_rear": car.stiffness_peak("rear"),
         "stiffness_peak_load": 2.0 * car["tyre_pky2"] * car["tyre_nominal_load"],
-        "slip_stiffness": car["tyre_pkx1"],
+        "slip_stiffness": CORNERING_SHARE * car["tyre_pkx1"],
         "track_rear": car["track_width_rear"],
+        "load_transfer_rear": car["cg_height"] * (1.0 - car["roll_stiffness_front_share"]) / car["track_width_rear"],
         "differential_preload": car["differential_preload"],
         "differential_ratio": car["differential_lock_ratio"],
         "steer_transition": transition,

@@ -80,7 +80,7 @@ static void steer(control *self, const control_input *in, float speed, const lat
     const uint8_t chosen = in->lateral < CONTROL_LATERAL_COUNT ? in->lateral : (uint8_t)CONTROL_NONE;
     if (speed < steering_speed_min) {
         self->lqr.integral = 0.0f;
-    } else if (out->lateral_valid && chosen != CONTROL_NONE && chosen != CONTROL_EMERGENCY) {
+    } else if (out->lateral_valid && isfinite(out->road_wheel_angle[chosen])) {
         const float wish = out->road_wheel_angle[chosen];
         if (chosen == CONTROL_LQR && fabsf(wish) < limit) {
             lateral_lqr_integrate(&self->lqr, state);

@@ -89,9 +89,11 @@ typedef struct control {
 void control_init(control *self);
 
 /* One period of control, called at 100 Hz. Without a plan or an estimate the wheels keep their angle and the car is
- * braked at max_deceleration; below walking pace the wheels keep their angle too. The road wheel command is rounded to
- * the step of steering_cmd, and what rounding withholds is carried over, so that its mean is exact.
- * input, output: not null. Every field of output is written, finite and inside its range whatever the input holds. */
+ * braked at max_deceleration; below walking pace the wheels keep their angle too, as they do when the chosen controller
+ * is CONTROL_NONE or CONTROL_EMERGENCY, or has no finite answer. The road wheel command is rounded to the step of
+ * steering_cmd, and what rounding withholds is carried over, so that its mean is exact.
+ * input, output: not null. Whatever the input holds, all commands are finite and inside their ranges;
+ * road_wheel_angle is as its controller computed it. */
 void control_step(control *self, const control_input *input, control_output *output);
 
 #endif

@@ -36,10 +36,11 @@ typedef struct controller_tables {
     float stiffness_peak_front; /* N/rad */
     float stiffness_peak_rear;  /* N/rad */
     float stiffness_peak_load;  /* N, of an axle */
-    float slip_stiffness;       /* longitudinal, of a wheel over its load */
+    float slip_stiffness;       /* longitudinal, of a cornering tyre over its load */
 
     /* Limited-slip differential */
     float track_rear;           /* m */
+    float load_transfer_rear;   /* N from the inner to the outer wheel per N of the car's side force */
     float differential_preload; /* N m */
     float differential_ratio;   /* locking torque over axle torque */
 

@@ -14,14 +14,18 @@ static float axle_stiffness(float peak, float load)
     return peak * 2.0f * q / (1.0f + q * q);
 }
 
-/* Yaw moment (N m) of the driven axle, against the turn: the limited-slip differential holds the wheels together, so
- * that the outer one slips back and the inner one forward, up to the differential's locking torque. */
-static float differential_moment(float curvature, float load_rear, float drive_force)
+/* Yaw moment (N m) of the driven axle whose wheels the limited-slip differential holds together. In a turn the inner
+ * wheel then slips forward and the outer one back, which works against the turn; load transfer leaves the outer wheel
+ * more of the drive force, which works with it. Both up to the differential's locking torque.
+ * lateral, drive, load: N, of side force, drive force and load of the axle's share. */
+static float differential_moment(float curvature, float lateral, float drive, float load)
 {
     const controller_tables *car = &controller_table;
-    const float locked = 0.25f * car->slip_stiffness * load_rear * car->track_rear * fabsf(curvature);
-    const float locking = car->differential_preload / car->driven_radius + car->differential_ratio * drive_force;
-    return -copysignf(fminf(locked, locking) * car->track_rear, curvature);
+    const float outward = numeric_clamp(2.0f * car->load_transfer_rear * lateral / load, -1.0f, 1.0f);
+    const float slip = 0.5f * car->track_rear * curvature;
+    const float inner_surplus = car->slip_stiffness * load * (1.0f - outward * outward) * slip - outward * drive;
+    const float locking = 2.0f * (car->differential_preload / car->driven_radius + car->differential_ratio * drive);
+    return -0.5f * car->track_rear * numeric_clamp(inner_surplus, -locking, locking);
 }
 
 void vehicle_steady_cornering(float speed, float curvature, float bank, vehicle_cornering *out)
@@ -43,9 +47,9 @@ void vehicle_steady_cornering(float speed, float curvature, float bank, vehicle_
     out->stiffness_front = axle_stiffness(car->stiffness_peak_front, load_front);
     out->stiffness_rear = axle_stiffness(car->stiffness_peak_rear, out->load_rear);
     const float held = car->drag_factor * speed_square + car->rolling_resistance * out->load;
-    const float turning = differential_moment(curvature, out->load_rear, held) / wheelbase;
-    const float force_front = lateral * front_share - turning;
-    const float force_rear = lateral * rear_share + turning;
+    out->yaw_moment = differential_moment(curvature, lateral, held, out->load_rear);
+    const float force_front = lateral * front_share - out->yaw_moment / wheelbase;
+    const float force_rear = lateral * rear_share + out->yaw_moment / wheelbase;
     out->slip_front = force_front / out->stiffness_front;
     out->slip_rear = force_rear / out->stiffness_rear;
     out->yaw_rate = speed * curvature * cos_bank;
@@ -64,13 +68,13 @@ void vehicle_motion_step(vehicle_motion *motion, const vehicle_cornering *tyres,
     const float lr = car->cg_to_rear;
     const float yaw_before = motion->yaw;
 
-    /* (v I - dt v A) z' = v z + dt v (B steer + g): the bicycle's equations times speed, implicit Euler. */
+    /* (v I - dt v A) z' = v z + dt v (B steer + g + M): the bicycle's equations times speed, implicit Euler. */
     const float m11 = speed + dt * (cf + cr) / car->mass;
     const float m12 = dt * ((cf * lf - cr * lr) / car->mass + speed * speed);
     const float m21 = dt * (cf * lf - cr * lr) / car->yaw_inertia;
     const float m22 = speed + dt * (cf * lf * lf + cr * lr * lr) / car->yaw_inertia;
     const float n1 = speed * (motion->vy + dt * (cf * steer / car->mass + car->gravity * sinf(bank)));
-    const float n2 = speed * (motion->yaw_rate + dt * cf * lf * steer / car->yaw_inertia);
+    const float n2 = speed * (motion->yaw_rate + dt * (cf * lf * steer + tyres->yaw_moment) / car->yaw_inertia);
     const float determinant = m11 * m22 - m12 * m21;
     motion->vy = (n1 * m22 - n2 * m12) / determinant;
     motion->yaw_rate = (n2 * m11 - n1 * m21) / determinant;

@@ -11,6 +11,7 @@ typedef struct vehicle_cornering {
     float slip_rear;       /* rad */
     float stiffness_front; /* N/rad of the axle under its load */
     float stiffness_rear;  /* N/rad */
+    float yaw_moment;      /* N m of the differential, to the left positive */
     float load_rear;       /* N, normal load of the driven axle */
     float load;            /* N, of both axles */
     float drag;            /* N, resistance from the slip of the tyres */
@@ -31,7 +32,7 @@ void vehicle_steady_cornering(float speed, float curvature, float bank, vehicle_
 
 /* Advance the motion by dt (s) at constant speed (m/s, >= 0) with the road wheels at steer (rad).
  * Implicit, so it passes smoothly into rolling without slip as speed goes to zero.
- * tyres: stiffness in force. bank: rad. */
+ * tyres: stiffness and yaw moment in force. bank: rad. */
 void vehicle_motion_step(vehicle_motion *motion, const vehicle_cornering *tyres, float speed, float bank, float steer,
                          float dt);
 
