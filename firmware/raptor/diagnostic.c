@@ -45,14 +45,14 @@ static uint32_t judge_brakes(raptor_diagnostic *self, const raptor_config *confi
     return bits;
 }
 
-/* Warnings of one axis: a channel without a valid position, or with an active error. */
+/* Warnings of one axis: a channel whose position is wrong or overdue, or with an active error. */
 static uint32_t judge_axis(const raptor_gateway_axis *axis, uint32_t first_warning)
 {
     uint32_t bits = 0;
 
     for (uint32_t i = 0; i < RAPTOR_GATEWAY_CHANNELS; i++) {
         const raptor_gateway_channel *channel = &axis->channels[i];
-        if (!channel->valid || channel->error) {
+        if (channel->faulty || channel->error) {
             bits |= (first_warning << i) | RAPTOR_DIAG_SD_WARNING;
         }
         if (channel->critical) {

@@ -105,8 +105,9 @@ static void judge_axis(raptor_gateway_axis *axis, const raptor_config *config, u
     axis->valid_count = 0;
     for (uint32_t i = 0; i < RAPTOR_GATEWAY_CHANNELS; i++) {
         raptor_gateway_channel *channel = &axis->channels[i];
-        channel->valid = channel->position_rx.seen && channel->plausible &&
-                         !codec_timed_out(&channel->position_rx, config->position_timeout_ms, since_us, now_us);
+        const bool overdue = codec_timed_out(&channel->position_rx, config->position_timeout_ms, since_us, now_us);
+        channel->valid = channel->position_rx.seen && channel->plausible && !overdue;
+        channel->faulty = overdue || (channel->position_rx.seen && !channel->plausible);
         if (codec_timed_out(&channel->status_rx, config->status_timeout_ms, since_us, now_us)) {
             channel->emergency_brake = false;
         }

@@ -298,6 +298,22 @@ def test_losing_one_channel_is_a_warning_only() -> None:
     assert {name for name, value in row.items() if value} == {"sd_system_warning", "sd_brake_warning3"}
 
 
+def test_a_space_drive_that_never_speaks_is_reported_once_it_is_overdue() -> None:
+    car = Car()
+    car.space_drive_connected = False
+    car.wired.safety_switch = 4
+    sent = [car.tick() for _ in range(100)]
+    assert sent[4].of("diagnostic_report")[-1] == dict.fromkeys(sent[4].of("diagnostic_report")[-1], 0.0)
+    row = sent[-1].of("diagnostic_report")[-1]
+    assert {name for name, value in row.items() if value} == {
+        "sd_system_warning", "sd_system_failure", "est4_sd_comms_loss",
+        *(f"sd_{axis}_warning{n}" for axis in ("brake", "steer") for n in (1, 2, 3)),
+    }  # fmt: skip
+    assert car.state == 2
+    assert not any(m.of("req_steer_pos") for m in sent), "nobody knows where to hold the wheels"
+    assert all(m.value("req_brake_pos", "contrl_pos_brk") < 0x4000 for m in sent)
+
+
 def test_the_space_drives_own_emergency_brake() -> None:
     car = driving()
     car.space_drive.c.emergency = lib.SPACE_DRIVE_EMERGENCY_STEER_SENSORS
