@@ -11,10 +11,11 @@ from scipy.sparse.linalg import splu
 from autonomy.frenet import FloatArray
 
 _ITERATIONS = 100
+_RESIDUAL = 1.0e-9  # of the gradient, relative to its size
 
 
 def solve_box_qp(
-    hessian: csc_array, gradient: FloatArray, lower: FloatArray, upper: FloatArray, tolerance: float = 1.0e-9
+    hessian: csc_array, gradient: FloatArray, lower: FloatArray, upper: FloatArray, tolerance: float = 1.0e-12
 ) -> FloatArray:
     """Minimise 0.5 x'Hx + g'x subject to lower <= x <= upper.
 
@@ -26,7 +27,7 @@ def solve_box_qp(
     hessian : shape (n, n), positive semidefinite, sparse.
     gradient : shape (n,).
     lower, upper : shape (n,), finite, lower < upper.
-    tolerance : on the mean complementarity, relative to the gradient's and the box's size.
+    tolerance : on the mean product of gap and multiplier, relative to the gradient's and the box's size.
 
     Returns
     -------
@@ -46,7 +47,7 @@ def solve_box_qp(
         gaps = np.concatenate((x, -x)) - box
         residual = hessian @ x + gradient - multipliers[:count] + multipliers[count:]
         mean = float(multipliers @ gaps) / (2 * count)
-        if mean < tolerance * scale * float(np.mean(upper - lower)) and np.max(np.abs(residual)) < tolerance * scale:
+        if mean < tolerance * scale * float(np.mean(upper - lower)) and np.max(np.abs(residual)) < _RESIDUAL * scale:
             return x
         newton = _Newton(hessian, gaps, multipliers, residual)
         change, multiplier_change = newton.step(np.zeros(2 * count))

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from filterpy.kalman import KalmanFilter
@@ -19,8 +19,7 @@ from autonomy.frenet import FloatArray, wrap_angle
 GRAVITY = 9.81  # m/s2
 
 
-@dataclass(frozen=True)
-class ImuSample:
+class ImuSample(NamedTuple):
     """Specific force (m/s2) and angular rates (rad/s) in vehicle axes (ISO 8855), at the centre of gravity."""
 
     specific_force_x: float
@@ -31,8 +30,7 @@ class ImuSample:
     yaw_rate: float
 
 
-@dataclass(frozen=True)
-class GnssSample:
+class GnssSample(NamedTuple):
     """One epoch of a receiver in the track frame, referred to the centre of gravity; standard deviations beside."""
 
     x: float
@@ -46,8 +44,7 @@ class GnssSample:
     std_yaw: float
 
 
-@dataclass(frozen=True)
-class LevelMotion:
+class LevelMotion(NamedTuple):
     """IMU sample turned into the horizontal plane: accelerations along and across the heading, heading rate."""
 
     ax: float
@@ -111,6 +108,7 @@ class GnssFilter:
     ----------
     started : a first epoch has arrived.
     distance : Mahalanobis distance of the last epoch from the prediction, used or not; infinite before.
+    position_deviation : 1 sigma of the worse of both coordinates, m.
     """
 
     def __init__(self, tuning: FilterTuning) -> None:
@@ -122,6 +120,7 @@ class GnssFilter:
         self._process = np.zeros((_STATES, _STATES))
         self._reset_clock()
         self.started = False
+        self.position_deviation = math.inf
         self.distance = math.inf
         self.x = self.y = self.velocity_east = self.velocity_north = self.yaw = 0.0
         self.bias_ax = self.bias_ay = self.bias_yaw_rate = 0.0
@@ -146,6 +145,7 @@ class GnssFilter:
         self._kalman.x = np.zeros((_STATES, 1))
         self._kalman.P = np.diag(np.square(deviations))
         self._reset_clock()
+        self._note_deviation()
         self.distance = 0.0
         self.started = True
 
@@ -194,6 +194,7 @@ class GnssFilter:
         q[BIAS_AX, BIAS_AX] = q[BIAS_AY, BIAS_AY] = t.acceleration_bias_noise**2 * dt
         q[BIAS_R, BIAS_R] = t.yaw_rate_bias_noise**2 * dt
         self._kalman.predict(F=f, Q=q)
+        self._note_deviation()
         self._reset_clock()
 
     def update(self, gnss: GnssSample) -> bool:
@@ -229,6 +230,11 @@ class GnssFilter:
         self.bias_ax += error[BIAS_AX]
         self.bias_ay += error[BIAS_AY]
         self.bias_yaw_rate += error[BIAS_R]
+        # The next step averages with these: they follow the biases.
+        self.ax -= error[BIAS_AX]
+        self.ay -= error[BIAS_AY]
+        self.yaw_rate -= error[BIAS_R]
+        self._note_deviation()
         return True
 
     @property
@@ -236,10 +242,9 @@ class GnssFilter:
         """Covariance of the error state at the last propagation, shape (8, 8)."""
         return np.asarray(self._kalman.P)
 
-    def position_deviation(self) -> float:
-        """1 sigma of the worse of both coordinates, m."""
+    def _note_deviation(self) -> None:
         covariance = self._kalman.P
-        return math.sqrt(max(covariance[X, X], covariance[Y, Y]))
+        self.position_deviation = math.sqrt(max(covariance[X, X], covariance[Y, Y]))
 
     def _reset_clock(self) -> None:
         self._elapsed = self._sum_east = self._sum_north = 0.0

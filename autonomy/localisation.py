@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import NamedTuple
 
 from autonomy.estimation import FilterTuning, GnssFilter, GnssSample, ImuSample, LevelMotion, level
 from autonomy.frenet import wrap_angle
@@ -41,11 +42,11 @@ class QualityLimits:
     switch_margin: float = 1.5  # of the distances, to leave a filter of the same level
     switch_dwell_us: int = 1_000_000  # for which the margin must hold
     restart_us: int = 1_000_000  # a filter that has used no epoch for so long starts again from its receiver
-    settle_s: float = 0.7  # time constant with which the offset of a switch fades
+    jump: float = 0.15  # m; a correction beyond it fades in as a switch does
+    settle_s: float = 0.7  # time constant of fading
 
 
-@dataclass(frozen=True)
-class Estimate:
+class Estimate(NamedTuple):
     """Estimate of the car's motion, plan view.
 
     Attributes
@@ -128,7 +129,7 @@ class _Receiver:
     def deviation(self) -> float:
         """Return 1 sigma of the position, m."""
         # The errors of a receiver drift together: averaging its epochs does not beat what it reports.
-        return max(self.filter.position_deviation(), self.reported_deviation)
+        return max(self.filter.position_deviation, self.reported_deviation)
 
 
 class Localiser:
@@ -155,7 +156,7 @@ class Localiser:
         self._imu_us = 0
         self._last_us = -1
         self._preferred_since_us = -1
-        # What the estimate in use was ahead of the new filter at the last switch: x, y, ve, vn, yaw.
+        # Estimate minus filter in use: x, y, ve, vn, yaw. Not 0 only while a switch or a jump fades.
         self._offset = (0.0, 0.0, 0.0, 0.0, 0.0)
 
     def step(
@@ -182,9 +183,12 @@ class Localiser:
             motion = level(self._imu, bank, grade)
             for receiver in self._receivers:
                 receiver.predict(motion, dt)
-        for receiver, gnss in zip(self._receivers, (gnss_a, gnss_b), strict=True):
+        for index, (receiver, gnss) in enumerate(zip(self._receivers, (gnss_a, gnss_b), strict=True)):
             if gnss is not None:
+                before = self._state() if index == self._active else None
                 receiver.take(now_us, gnss)
+                if before is not None and math.dist(before[:2], self._state()[:2]) > self._limits.jump:
+                    self._keep(before)
             elif now_us % self.COVARIANCE_PERIOD_US == 0 and receiver.filter.started:
                 receiver.filter.propagate_covariance()
             receiver.judge(now_us)
@@ -206,19 +210,22 @@ class Localiser:
             self._preferred_since_us = now_us
         dwelt = nearer and now_us - self._preferred_since_us >= self._limits.switch_dwell_us
         if other.quality > mine.quality or dwelt:
-            self._switch(mine.filter, other.filter)
+            state = self._state()
+            self._active = 1 - self._active
+            self._preferred_since_us = -1
+            self._keep(state)
 
-    def _switch(self, old: GnssFilter, new: GnssFilter) -> None:
+    def _state(self) -> tuple[float, float, float, float, float]:
+        """Position, velocity and heading as the estimate has them."""
+        f = self._receivers[self._active].filter
         dx, dy, de, dn, dyaw = self._offset
-        self._offset = (
-            old.x + dx - new.x,
-            old.y + dy - new.y,
-            old.velocity_east + de - new.velocity_east,
-            old.velocity_north + dn - new.velocity_north,
-            wrap_angle(old.yaw + dyaw - new.yaw),
-        )
-        self._active = 1 - self._active
-        self._preferred_since_us = -1
+        return f.x + dx, f.y + dy, f.velocity_east + de, f.velocity_north + dn, f.yaw + dyaw
+
+    def _keep(self, state: tuple[float, float, float, float, float]) -> None:
+        """Go on from a state; the offset to the filter in use then fades."""
+        f = self._receivers[self._active].filter
+        x, y, east, north, yaw = state
+        self._offset = (x - f.x, y - f.y, east - f.velocity_east, north - f.velocity_north, wrap_angle(yaw - f.yaw))
 
     def _fade(self, dt: float) -> None:
         if self._offset != (0.0, 0.0, 0.0, 0.0, 0.0):
@@ -241,14 +248,12 @@ class Localiser:
     def _estimate(self, now_us: int) -> Estimate:
         chosen = self._receivers[self._active]
         f = chosen.filter
-        dx, dy, de, dn, dyaw = self._offset
-        yaw = wrap_angle(f.yaw + dyaw)
+        x, y, east, north, yaw = self._state()
         cos, sin = math.cos(yaw), math.sin(yaw)
-        east, north = f.velocity_east + de, f.velocity_north + dn
         return Estimate(
-            x=f.x + dx,
-            y=f.y + dy,
-            yaw=yaw,
+            x=x,
+            y=y,
+            yaw=wrap_angle(yaw),
             vx=east * cos + north * sin,
             vy=north * cos - east * sin,
             yaw_rate=f.yaw_rate,

@@ -22,6 +22,7 @@ _MAX_LENGTH = 50_000.0  # m
 _MAX_WIDTH = 100.0  # m, from the centre line
 _MAX_ANGLE = 60.0  # deg, of bank and grade
 _MAX_CURVATURE = 0.5  # 1/m
+_SAME_POINT = 1.0e-3  # m
 _TUM_HEADER = "x_m,y_m,w_tr_right_m,w_tr_left_m[,banking_rad]"
 
 
@@ -294,22 +295,26 @@ def _read_rows(path: Path, columns: tuple[int, ...], header: str) -> list[tuple[
 
 
 def _check_line(path: Path, rows: list[tuple[int, list[float]]]) -> None:
-    """Points must be a closed line: no repeated neighbour, no gap out of all proportion."""
+    """Points must be a closed line: no repeated neighbour, no point that folds it, no gap out of all proportion."""
     xy = np.array([values[:2] for _, values in rows])
     if np.max(np.abs(xy)) > 60_000.0:
         line = rows[int(np.argmax(np.max(np.abs(xy), axis=1)))][0]
         raise ConfigurationError(path, f"line {line}", "lies outside the track frame; allowed -60000 to 60000 m")
-    step = np.hypot(*(np.roll(xy, -1, axis=0) - xy).T)
-    inner_step = step[:-1]
-    if inner_step.min() < 1.0e-3:
-        raise ConfigurationError(path, f"line {rows[int(np.argmin(inner_step)) + 1][0]}", "repeats the point before it")
-    if step[-1] > 5.0 * inner_step.max() and step[-1] > 20.0:
+    chord = np.roll(xy, -1, axis=0) - xy
+    step = np.hypot(chord[:, 0], chord[:, 1])
+    if step[:-1].min() < _SAME_POINT:
+        raise ConfigurationError(path, f"line {rows[int(np.argmin(step[:-1])) + 1][0]}", "repeats the point before it")
+    if step[-1] > 5.0 * step[:-1].max() and step[-1] > 20.0:
         raise ConfigurationError(path, "", f"is not closed: {step[-1]:.1f} m from the last point to the first")
+    ahead = np.einsum("ij,ij->i", chord[1:-1], chord[:-2])
+    if ahead.min() <= 0.0:
+        worst = int(np.argmin(ahead / (step[1:-1] * step[:-2]))) + 1
+        raise ConfigurationError(path, f"line {rows[worst][0]}", "folds the line back; a turn must stay below 90 deg")
 
 
 def _opened(table: FloatArray) -> FloatArray:
     """Table without a last row that repeats the first."""
-    return table[:-1] if float(np.hypot(*(table[0, :2] - table[-1, :2]))) < 1.0e-3 else table
+    return table[:-1] if float(np.hypot(*(table[0, :2] - table[-1, :2]))) < _SAME_POINT else table
 
 
 def _curve_through(path: Path, x: FloatArray, y: FloatArray) -> Curve:
