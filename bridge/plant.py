@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ctypes
 import shutil
+import zipfile
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
@@ -275,8 +276,11 @@ class Plant:
 def _read_description(path: Path) -> Any:
     if not path.is_file():
         raise PlantError(f"{path}: no such FMU file")
+    if not zipfile.is_zipfile(path):
+        raise PlantError(f"{path}: not an FMU: no ZIP archive")
     try:
-        description = fmpy.read_model_description(str(path), validate=False)
+        with path.open("rb") as file:  # fmpy would leave a broken one open
+            description = fmpy.read_model_description(file, validate=False)
     except Exception as error:  # a broken archive or XML ends in many types; the user needs the file and a reason
         raise PlantError(f"{path}: not an FMU: {_one_line(error)}") from error
     if not description.fmiVersion.startswith(("2.", "3.")):

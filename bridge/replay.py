@@ -8,6 +8,8 @@ cannot be told from its own and are not replayed.
 
 from __future__ import annotations
 
+import struct
+import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
@@ -16,7 +18,7 @@ from typing import Any
 
 import can
 import numpy as np
-from can.io.blf import BLFReader
+from can.io.blf import BLFParseError, BLFReader
 from can.io.canutils import CanutilsLogReader
 from numpy.typing import NDArray
 
@@ -80,7 +82,7 @@ def read_log(path: Path) -> NDArray[np.void]:
             frames += frame_of(message, bus, round(message.timestamp * 1e6))
     except OSError as error:
         raise ConfigurationError(path, "", error.strerror or "cannot be read") from error
-    except (ValueError, can.CanError, EOFError) as error:
+    except (ValueError, BLFParseError, struct.error, zlib.error) as error:
         raise ConfigurationError(path, "", f"not a readable log: {' '.join(str(error).split())}") from error
     return np.frombuffer(bytes(frames), dtype=FRAME_DTYPE)
 
@@ -139,6 +141,8 @@ def _senders(frames: NDArray[np.void]) -> NDArray[np.uint8]:
 
 def _messages(path: Path) -> Iterator[can.Message]:
     if path.suffix == ".log":
-        yield from CanutilsLogReader(path)
-        return
-    yield from BLFReader(path)
+        with path.open(encoding="ascii") as text:
+            yield from CanutilsLogReader(text)
+    else:
+        with path.open("rb") as binary:
+            yield from BLFReader(binary)
