@@ -36,7 +36,10 @@ class AutonomyPartition:
         if track.origin is None:
             raise ConfigurationError(track.name, "origin", "is missing; positions of the receivers need it")
         self.track = track
-        self.path = RacePath(track, vehicle)
+        try:
+            self.path = RacePath(track, vehicle)
+        except ValueError as error:
+            raise ConfigurationError(track.name, "width", str(error)) from None
         self._inbox = Inbox(track.origin.tangent_plane())
         self._localiser = Localiser(track.road_at)
         self._planner = Planner(self.path, vehicle)
@@ -58,6 +61,11 @@ class AutonomyPartition:
         ConfigurationError : a file is missing or wrong.
         """
         return cls(load_track(track_file), VehicleLimits.from_parameters(vehicle_file, load_vehicle(vehicle_file)))
+
+    @property
+    def malformed_frames(self) -> int:
+        """Frames dropped so far because they were cut off, too short or not data frames."""
+        return self._inbox.malformed
 
     def tick(self, now_us: int, frames: Buffer) -> bytes:
         """One minor frame.

@@ -254,13 +254,14 @@ class Planner:
             change = jerk * distance / max(speed, 1.0)
             squared = speed * speed + 2.0 * distance * max(acceleration - change, min(acceleration + change, wish))
             new_speed = 0.0 if stopped or squared <= 0.0 else math.sqrt(squared)
-            if (new_speed > max_speed) != (speed > max_speed):
+            arrived = (new_speed > max_speed) != (speed > max_speed)
+            if arrived:
                 new_speed = max_speed
             if new_speed > limit[node]:
                 # Only a path that was changed under the car is too fast at its first point: then brake.
                 slowest = math.sqrt(max(0.0, speed * speed - 2.0 * distance * self._settings.hard_deceleration))
                 new_speed = max(limit[node], min(new_speed, slowest))
-            acceleration = (new_speed * new_speed - speed * speed) / (2.0 * distance)
+            acceleration = 0.0 if arrived else (new_speed * new_speed - speed * speed) / (2.0 * distance)
             speed = new_speed
             speeds.append(speed)
             accelerations.append(acceleration)

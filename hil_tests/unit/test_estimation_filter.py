@@ -7,8 +7,21 @@ import pytest
 from scipy.stats import chi2
 
 from autonomy.estimation import (
-    BIAS_AX, BIAS_AY, BIAS_R, GRAVITY, VE, VN, YAW, FilterTuning, GnssFilter, GnssSample, ImuSample, LevelMotion,
-    X, Y, level,
+    BIAS_AX,
+    BIAS_AY,
+    BIAS_R,
+    GRAVITY,
+    VE,
+    VN,
+    YAW,
+    FilterTuning,
+    GnssFilter,
+    GnssSample,
+    ImuSample,
+    LevelMotion,
+    X,
+    Y,
+    level,
 )
 
 DT = 0.01
@@ -44,19 +57,31 @@ class Truth:
 def epoch(truth, rng, std=(0.05, 0.05, 0.03, 0.003)):
     sx, sy, sv, syaw = std
     return GnssSample(
-        truth.x + rng.normal(0, sx), truth.y + rng.normal(0, sy),
-        truth.v * math.cos(truth.yaw) + rng.normal(0, sv), truth.v * math.sin(truth.yaw) + rng.normal(0, sv),
-        math.remainder(truth.yaw + rng.normal(0, syaw), math.tau), sx, sy, sv, syaw,
+        truth.x + rng.normal(0, sx),
+        truth.y + rng.normal(0, sy),
+        truth.v * math.cos(truth.yaw) + rng.normal(0, sv),
+        truth.v * math.sin(truth.yaw) + rng.normal(0, sv),
+        math.remainder(truth.yaw + rng.normal(0, syaw), math.tau),
+        sx,
+        sy,
+        sv,
+        syaw,
     )
 
 
 def state_error(f, truth, biases):
-    return np.array([
-        truth.x - f.x, truth.y - f.y,
-        truth.v * math.cos(truth.yaw) - f.velocity_east, truth.v * math.sin(truth.yaw) - f.velocity_north,
-        math.remainder(truth.yaw - f.yaw, math.tau),
-        biases[0] - f.bias_ax, biases[1] - f.bias_ay, biases[2] - f.bias_yaw_rate,
-    ])
+    return np.array(
+        [
+            truth.x - f.x,
+            truth.y - f.y,
+            truth.v * math.cos(truth.yaw) - f.velocity_east,
+            truth.v * math.sin(truth.yaw) - f.velocity_north,
+            math.remainder(truth.yaw - f.yaw, math.tau),
+            biases[0] - f.bias_ax,
+            biases[1] - f.bias_ay,
+            biases[2] - f.bias_yaw_rate,
+        ]
+    )
 
 
 def run(seed, epochs=120):
@@ -64,8 +89,7 @@ def run(seed, epochs=120):
     rng = np.random.default_rng(seed)
     tuning = FilterTuning(acceleration_noise=0.05, yaw_rate_noise=0.002, gate=math.inf)
     truth, f = Truth(rng), GnssFilter(tuning)
-    bias = rng.normal(0.0, [tuning.start_acceleration_bias, tuning.start_acceleration_bias,
-                            tuning.start_yaw_rate_bias])
+    bias = rng.normal(0.0, [tuning.start_acceleration_bias, tuning.start_acceleration_bias, tuning.start_yaw_rate_bias])
     walk = np.array([tuning.acceleration_bias_noise, tuning.acceleration_bias_noise, tuning.yaw_rate_bias_noise])
     white = np.array([tuning.acceleration_noise, tuning.acceleration_noise, tuning.yaw_rate_noise]) / math.sqrt(DT)
     f.start(epoch(truth, rng))
@@ -125,8 +149,21 @@ def test_it_matches_an_own_kalman_filter():
     first = GnssSample(0.0, 0.0, 20.0 * c, 20.0 * s, yaw, 0.05, 0.05, 0.03, 1e-6)
     f.start(first)
     state = np.array([0.0, 0.0, 20.0 * c, 20.0 * s, 0.0, 0.0, 0.0, 0.0])
-    p = np.diag([0.05, 0.05, 0.03, 0.03, 1e-6, tuning.start_acceleration_bias, tuning.start_acceleration_bias,
-                 tuning.start_yaw_rate_bias]) ** 2
+    p = (
+        np.diag(
+            [
+                0.05,
+                0.05,
+                0.03,
+                0.03,
+                1e-6,
+                tuning.start_acceleration_bias,
+                tuning.start_acceleration_bias,
+                tuning.start_yaw_rate_bias,
+            ]
+        )
+        ** 2
+    )
     transition = np.eye(8)
     transition[X, VE] = transition[Y, VN] = dt
     for row, half in ((VE, 1.0), (X, 0.5 * dt)):

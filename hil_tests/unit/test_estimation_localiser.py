@@ -23,9 +23,7 @@ def imu_sample():
     """What an IMU reads on the banked circle."""
     lateral, rate = SPEED**2 / RADIUS, SPEED / RADIUS
     cos, sin = math.cos(BANK), math.sin(BANK)
-    return ImuSample(
-        0.0, lateral * cos - GRAVITY * sin, lateral * sin + GRAVITY * cos, 0.0, -rate * sin, rate * cos
-    )
+    return ImuSample(0.0, lateral * cos - GRAVITY * sin, lateral * sin + GRAVITY * cos, 0.0, -rate * sin, rate * cos)
 
 
 class Rig:
@@ -43,8 +41,15 @@ class Rig:
         x, y, yaw = pose(t)
         n = self.rng.normal
         gnss = GnssSample(
-            x + n(0, std), y + n(0, std), SPEED * math.cos(yaw) + n(0, 0.03), SPEED * math.sin(yaw) + n(0, 0.03),
-            math.remainder(yaw + n(0, 0.003), math.tau), std, std, 0.03, 0.003,
+            x + n(0, std),
+            y + n(0, std),
+            SPEED * math.cos(yaw) + n(0, 0.03),
+            SPEED * math.sin(yaw) + n(0, 0.03),
+            math.remainder(yaw + n(0, 0.003), math.tau),
+            std,
+            std,
+            0.03,
+            0.003,
         )
         return fault(t, gnss) if fault else gnss
 
@@ -72,8 +77,10 @@ LOST = after(5.0, lambda *_: None)
 def steps(history):
     """Motion between ticks that the speed does not explain."""
     e = [h[1] for h in history]
-    return [math.hypot(b.x - a.x - 0.01 * SPEED * math.cos(b.yaw), b.y - a.y - 0.01 * SPEED * math.sin(b.yaw))
-            for a, b in zip(e[:-1], e[1:], strict=True)]
+    return [
+        math.hypot(b.x - a.x - 0.01 * SPEED * math.cos(b.yaw), b.y - a.y - 0.01 * SPEED * math.sin(b.yaw))
+        for a, b in zip(e[:-1], e[1:], strict=True)
+    ]
 
 
 def test_before_the_first_epoch_there_is_no_estimate():

@@ -54,7 +54,10 @@ def test_a_small_oval_matches_a_dense_optimisation():
     # A short wide oval has several lines of nearly equal energy, so only the energy can be compared.
     best = min(
         minimize(
-            energy, np.full(count, start), method="L-BFGS-B", bounds=[(-4.0, 4.0)] * count,
+            energy,
+            np.full(count, start),
+            method="L-BFGS-B",
+            bounds=[(-4.0, 4.0)] * count,
             options={"maxiter": 5000, "maxfun": 10**6, "ftol": 1e-12, "gtol": 1e-8},
         ).fun
         for start in (-1.0, -3.0)

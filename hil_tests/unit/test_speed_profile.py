@@ -30,8 +30,17 @@ def car(parameters):
 def plain(car):
     """A car with constant friction, no air and no engine limit, for closed forms."""
     return replace(
-        car, friction_x=1.2, friction_y=1.2, friction_slope_x=0.0, friction_slope_y=0.0, drag=0.0, downforce=0.0,
-        rolling_resistance=0.0, brake_force=1e9, drive_share=1.0, drive_speeds=np.array([0.0, 200.0]),
+        car,
+        friction_x=1.2,
+        friction_y=1.2,
+        friction_slope_x=0.0,
+        friction_slope_y=0.0,
+        drag=0.0,
+        downforce=0.0,
+        rolling_resistance=0.0,
+        brake_force=1e9,
+        drive_share=1.0,
+        drive_speeds=np.array([0.0, 200.0]),
         drive_forces=np.array([1e9, 1e9]),
     )
 
@@ -166,8 +175,10 @@ def test_the_drive_curve_has_the_cars_power_and_gears(car, parameters):
     power = np.array([car.drive_force(float(v)) * v for v in speeds])
     assert power.max() == pytest.approx(335e3 * parameters["driveline_efficiency"], rel=0.02)
     # First gear carries to the speed of its rev limit; above the top gear's there is no drive at all.
-    top = parameters["engine_speed_limit"] * parameters["tyre_radius_rear"] / (
-        parameters["gear_ratio_6"] * parameters["final_drive_ratio"]
+    top = (
+        parameters["engine_speed_limit"]
+        * parameters["tyre_radius_rear"]
+        / (parameters["gear_ratio_6"] * parameters["final_drive_ratio"])
     )
     assert car.drive_force(top - 1.0) > 0.0
     assert car.drive_force(top + 1.0) == 0.0
@@ -192,8 +203,14 @@ def test_engine_torque_points_are_needed(parameters):
 
 @pytest.mark.parametrize(
     ("text", "key"),
-    [("mass: heavy", "mass"), ("mass: true", "mass"), ("mass: .nan", "mass"), ("mass: [1]", "mass"), ("7", ""),
-     ("a: [", "line 1")],
+    [
+        ("mass: heavy", "mass"),
+        ("mass: true", "mass"),
+        ("mass: .nan", "mass"),
+        ("mass: [1]", "mass"),
+        ("7", ""),
+        ("a: [", "line 1"),
+    ],
 )
 def test_a_wrong_vehicle_file_is_refused(tmp_path, text, key):
     file = tmp_path / "car.yaml"

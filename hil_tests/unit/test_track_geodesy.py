@@ -24,8 +24,9 @@ def geodetic(x, y, z):
 
 def rotation(latitude, longitude):
     """ENU axes in ECEF from the cross products of up and the Earth's axis."""
-    up = np.array([math.cos(latitude) * math.cos(longitude), math.cos(latitude) * math.sin(longitude),
-                   math.sin(latitude)])
+    up = np.array(
+        [math.cos(latitude) * math.cos(longitude), math.cos(latitude) * math.sin(longitude), math.sin(latitude)]
+    )
     east = np.cross([0.0, 0.0, 1.0], up)
     east /= np.linalg.norm(east)
     return np.array([east, np.cross(up, east), up])

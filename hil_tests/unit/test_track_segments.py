@@ -128,7 +128,10 @@ def test_a_chain_matches_an_ode_solution():
     for a, b in zip(knots[:-1], knots[1:], strict=True):  # the curvature jumps at the joints
         solution = solve_ivp(
             lambda s, q, a=a, b=b: [math.cos(q[2]), math.sin(q[2]), curvature(min(max(s, a), b - 1e-12))],
-            (a, b), state, rtol=1e-11, atol=1e-11,
+            (a, b),
+            state,
+            rtol=1e-11,
+            atol=1e-11,
         )
         state = solution.y[:, -1]
         x, y, heading, _ = curve.at(np.array([b]))
