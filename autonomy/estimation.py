@@ -114,7 +114,7 @@ class GnssFilter:
     def __init__(self, tuning: FilterTuning) -> None:
         self._tuning = tuning
         # filterpy has no types; all of it stays behind this attribute.
-        self._kalman: Any = KalmanFilter(dim_x=_STATES, dim_z=_MEASUREMENTS)  # type: ignore[no-untyped-call]
+        self._kalman: Any = KalmanFilter(dim_x=_STATES, dim_z=_MEASUREMENTS)
         self._kalman.H = np.eye(_MEASUREMENTS, _STATES)
         self._transition = np.eye(_STATES)
         self._process = np.zeros((_STATES, _STATES))

@@ -155,8 +155,7 @@ def assemble(results):
     """Whole plans: header, ticks they took, poses, motions."""
     plans = []
     for tick, result in enumerate(results):
-        for header in result["trajectory_header"]:
-            plans.append((header, tick, {}, {}, [tick]))
+        plans.extend((header, tick, {}, {}, [tick]) for header in result["trajectory_header"])
         for kind, column in (("trajectory_pose", 2), ("trajectory_motion", 3)):
             for values in result[kind]:
                 assert values[0] == plans[-1][0][0]  # the frames of a plan never mix with those of another

@@ -243,7 +243,7 @@ def attitude(bank, grade):
 def test_bank_and_grade_leave_the_horizontal_acceleration(bank, grade):
     horizontal = np.array([1.3, 16.0, 0.0])
     rotation = attitude(bank, grade)
-    force = rotation.T @ (horizontal + [0.0, 0.0, GRAVITY])
+    force = rotation.T @ ([*horizontal, 0.0, 0.0, GRAVITY])
     rates = rotation.T @ np.array([0.0, 0.0, 0.27])
     motion = level(ImuSample(*force, *rates), bank, grade)
     assert (motion.ax, motion.ay) == pytest.approx((1.3, 16.0), abs=1e-9)

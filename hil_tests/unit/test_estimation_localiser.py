@@ -1,5 +1,6 @@
 """Choice between the receivers: loss, spikes, drift, disagreement; no jump at a switch; quality levels."""
 
+import itertools
 import math
 
 import numpy as np
@@ -79,7 +80,7 @@ def steps(history):
     e = [h[1] for h in history]
     return [
         math.hypot(b.x - a.x - 0.01 * SPEED * math.cos(b.yaw), b.y - a.y - 0.01 * SPEED * math.sin(b.yaw))
-        for a, b in zip(e[:-1], e[1:], strict=True)
+        for a, b in itertools.pairwise(e)
     ]
 
 
@@ -126,7 +127,7 @@ def test_spikes_of_the_receiver_in_use_do_not_reach_the_estimate():
     def spike(t, gnss):
         return gnss._replace(x=gnss.x + 8.0, y=gnss.y - 5.0) if round(t * 20) % 10 == 0 else gnss
 
-    history = list(Rig(fault_a=after(4.0, lambda t, g: spike(t, g))).run(12.0))
+    history = list(Rig(fault_a=after(4.0, spike)).run(12.0))
     assert max(h[2] for h in history[300:]) < 0.15
     assert max(steps(history[300:])) < 0.08
 
@@ -161,7 +162,7 @@ def test_losing_both_degrades_to_lost_while_dead_reckoning_goes_on():
     assert level[6.0] is Quality.BAD
     assert level[7.5] is Quality.LOST
     qualities = [h[1].quality for h in history[490:]]
-    assert all(b <= a for a, b in zip(qualities[:-1], qualities[1:], strict=True))
+    assert all(b <= a for a, b in itertools.pairwise(qualities))
     at_six = next(h[2] for h in history if h[0] >= 6.0)
     assert at_six < 0.5
     assert history[-1][1].deviation > history[490][1].deviation

@@ -1,5 +1,6 @@
 """Invariants of plans over whole runs: limits, continuity over replans, path geometry, stops."""
 
+import itertools
 import math
 from pathlib import Path
 
@@ -165,7 +166,7 @@ def speed_at(plan, x, y):
 def test_speeds_are_continuous_over_replans(lap):
     """Where two successive plans overlap they agree, unless the mission changed; measurement noise is not in them."""
     worst = 0.0
-    for (old, _), (new, _) in zip(lap[:-1], lap[1:], strict=True):
+    for (old, _), (new, _) in itertools.pairwise(lap):
         if old.mission is not new.mission:
             continue
         count = 8  # the near part: farther on a coarser grid sees other points
@@ -184,7 +185,7 @@ def test_the_plan_at_the_car_never_steps(lap):
 
 
 def test_plans_share_their_points_while_the_spacing_stays(lap):
-    for (old, _), (new, _) in zip(lap[:-1], lap[1:], strict=True):
+    for (old, _), (new, _) in itertools.pairwise(lap):
         if old.spacing != new.spacing or old.mission is not new.mission:
             continue
         gap = np.hypot(new.x[0] - old.x, new.y[0] - old.y)

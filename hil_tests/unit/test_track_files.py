@@ -22,7 +22,7 @@ def tum_rows(track, step=5, bank=True):
     rows = []
     for i in range(0, track.centre.count, step):
         row = [track.centre.x[i], track.centre.y[i], track.width_right[i], track.width_left[i]]
-        rows.append(row + [track.bank[i]] if bank else row)
+        rows.append([*row, track.bank[i]] if bank else row)
     return rows
 
 
@@ -211,7 +211,7 @@ def test_a_missing_file_is_named(tmp_path, name):
 
 def test_yaml_with_a_broken_csv_names_the_csv(tmp_path):
     (tmp_path / "t.yaml").write_text("name: A\ncentre_line: gone.csv\n")
-    with pytest.raises(ConfigurationError, match="gone.csv"):
+    with pytest.raises(ConfigurationError, match=r"gone\.csv"):
         load_track(tmp_path / "t.yaml")
 
 
