@@ -74,7 +74,7 @@ class _Loader(yaml.SafeLoader):
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[object, object]:
         seen: set[object] = set()
         for key_node, _ in node.value:
-            key = self.construct_object(key_node, deep=True)  # type: ignore[no-untyped-call]
+            key: object = self.construct_object(key_node, deep=True)
             if not isinstance(key, str):
                 raise yaml.constructor.ConstructorError(None, None, "a key must be text", key_node.start_mark)
             if key in seen:
@@ -102,6 +102,8 @@ def load_operation(path: str | Path) -> dict[str, Scalar]:
         mark = getattr(error, "problem_mark", None)
         problem = getattr(error, "problem", None) or " ".join(str(error).split())
         raise ConfigurationError(path, f"line {mark.line + 1}" if mark else "", problem) from error
+    except (ValueError, RecursionError) as error:
+        raise ConfigurationError(path, "", f"is no YAML that can be read: {error}") from error
     if not isinstance(content, dict):
         raise ConfigurationError(path, "line 1", "an operation file is a mapping from parameter names to values")
     for key, value in content.items():

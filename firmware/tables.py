@@ -56,7 +56,7 @@ class Parameter:
         return parameter_key(self.name)
 
     def allowed(self) -> str:
-        """What the user may write, in a few words."""
+        """Say in a few words what the user may write."""
         if self.type == "bool":
             return "true or false"
         kind = "a whole number" if self.type == "int" else "a number"

@@ -145,7 +145,9 @@ static void detect_control(const fault_sources *sources, fault_conditions *condi
 {
     const control_output *control = sources->control;
     const bool valid = control->lateral_valid;
-    set(conditions, FAULT_LATERAL_LOST, !valid && !sources->standing_still, 0U);
+    const float deviation = fabsf(control->cross_track_error);
+    set(conditions, FAULT_PATH_LEFT, deviation > parameters_real(sources->parameters, PARAMETER_MAX_CROSS_TRACK_ERROR),
+        whole(deviation * 100.0f));
     set(conditions, FAULT_LQR_INVALID, valid && !isfinite(control->road_wheel_angle[CONTROL_LQR]), 0U);
     set(conditions, FAULT_STANLEY_INVALID, valid && !isfinite(control->road_wheel_angle[CONTROL_STANLEY]), 0U);
     set(conditions, FAULT_PURE_PURSUIT_INVALID, valid && !isfinite(control->road_wheel_angle[CONTROL_PURE_PURSUIT]),

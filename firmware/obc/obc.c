@@ -149,7 +149,6 @@ static void run_monitor(void *context)
         .launch_us = self->launch.rx.last_valid_us,
         .launch_seen = self->launch.rx.seen,
         .launch_wanted = self->launch.wanted,
-        .standing_still = standing_still(self),
         .control_task = OBC_TASK_CONTROL,
         .dbw_violations = self->dbw_violations,
     };
@@ -195,8 +194,14 @@ static uint8_t dbw_mode(const obc *self)
     if (!self->ssm_output.drive_allowed || self->ct_state == CT_EMRG_SHUTDOWN) {
         return DBW_FULL_BRAKE;
     }
-    const bool fresh = self->control_output.lateral_valid && !self->conditions.present[FAULT_WHEEL_SPEED_MISSING];
-    return driving(self) && fresh ? DBW_DRIVE : DBW_HOLD;
+    return driving(self) ? DBW_DRIVE : DBW_HOLD;
+}
+
+/* Control may accelerate only on a path, an estimate and a wheel speed that are fresh. */
+static bool inputs_fresh(const obc *self)
+{
+    return self->control_output.lateral_valid && !self->conditions.present[FAULT_WHEEL_SPEED_MISSING] &&
+           !self->conditions.present[FAULT_ESTIMATE_LOST];
 }
 
 /* The wheels follow control while the car is driven, or rolls under a full brake; a command that is not finite is
@@ -213,13 +218,16 @@ static void run_dbw(void *context)
     obc *self = context;
     const control_estimate motion = estimate(self);
     const control_output *control = &self->control_output;
+    const float holding = real(self, PARAMETER_HOLDING_BRAKE_PRESSURE);
+    const bool fresh = inputs_fresh(self);
+    const bool brake_more = !fresh && control->brake_pressure < holding;
     const dbw_demand demand = {
         .mode = dbw_mode(self),
         .steer = steering_follows(self),
         .standing_still = standing_still(self),
         .road_wheel_angle = control->road_wheel_command,
-        .throttle = control->throttle,
-        .brake_pressure = control->brake_pressure,
+        .throttle = fresh ? control->throttle : 0.0f,
+        .brake_pressure = brake_more ? holding : control->brake_pressure,
         .gear = control->gear,
         .acceleration = {motion.ax, motion.ay, self->estimate.vertical_acceleration},
         .marelli_track_flag = self->vehicle.race_control.marelli_track_flag,
@@ -228,7 +236,7 @@ static void run_dbw(void *context)
     };
     const dbw_limits limits = {
         .full_brake_pressure = real(self, PARAMETER_FULL_BRAKE_PRESSURE),
-        .holding_brake_pressure = real(self, PARAMETER_HOLDING_BRAKE_PRESSURE),
+        .holding_brake_pressure = holding,
         .steering_limit = real(self, PARAMETER_STEERING_LIMIT),
         .steering_slew = real(self, PARAMETER_STEERING_SLEW),
         .steering_ratio = real(self, PARAMETER_STEERING_RATIO),

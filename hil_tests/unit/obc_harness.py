@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from bridge._native import ffi, lib
-
 from dbc.codec import database
 from dbc.frames import FRAME_SIZE, FRAME_STRUCT, Frame, iterate
 from firmware.parameters import encode_operation, load_operation

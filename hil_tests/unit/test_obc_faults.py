@@ -1,0 +1,271 @@
+"""Every fault of the table, provoked the way it comes: by frames that stop, lie or stand still, and by time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+from obc_harness import ObcHarness, drop
+
+from bridge._native import lib
+from dbc.codec import database
+from dbc.frames import iterate
+from firmware.tables import REACTIONS, load_faults
+
+FAULTS = {fault.name: fault for fault in load_faults()}
+Provoke = Callable[[ObcHarness], None]
+
+
+def silent(*names: str) -> Provoke:
+    return lambda harness: [harness.periods.pop(name) for name in names] and None
+
+
+def signal(message: str, **values: float) -> Provoke:
+    return lambda harness: harness.signals[message].update(values)
+
+
+def node(number: int, **changes: Any) -> Provoke:
+    def apply(harness: ObcHarness) -> None:
+        if "code" in changes:
+            harness.node_codes[number] = changes["code"]
+        if "reliability" in changes:
+            harness.node_reliability[number] = changes["reliability"]
+        if changes.get("frozen"):
+            harness.frozen_nodes.add(number)
+        if changes.get("silent"):
+            harness.silent_nodes.add(number)
+
+    return apply
+
+
+def slow(prefix: str, period_us: int) -> Provoke:
+    def apply(harness: ObcHarness) -> None:
+        harness.periods.update({name: period_us for name in harness.periods if name.startswith(prefix)})
+
+    return apply
+
+
+def attribute(name: str, value: object) -> Provoke:
+    return lambda harness: setattr(harness, name, value)
+
+
+def spoil_lqr(harness: ObcHarness) -> None:
+    """Memory that went bad: the integrator is not a number, and stays so."""
+
+    def poison(frames: bytes) -> bytes:
+        harness.obc.control.lqr.integral = float("nan")
+        return frames
+
+    harness.filters.append(poison)
+
+
+def cost(task: int, microseconds: int) -> Provoke:
+    return lambda harness: setattr(harness.obc.executive.records[task], "injected_cost_us", microseconds)
+
+
+def late(harness: ObcHarness) -> None:
+    def jump(frames: bytes) -> bytes:
+        harness.now_us += 10_000  # every second minor frame is missed
+        return frames
+
+    harness.filters.append(jump)
+
+
+def late_write(harness: ObcHarness) -> None:
+    harness.extra.append(harness.message("parameter_write", write_key=1))
+
+
+DIAGNOSTIC = {
+    "sd_failure": "sd_system_failure",
+    "est1_front_brake": "est1_oos_front_brk",
+    "est2_rear_brake": "est2_oos_rear_brk",
+    "est3_low_engine_speed": "est3_low_eng_speed",
+    "est4_sd_comms_loss": "est4_sd_comms_loss",
+    "est5_motec_comms_loss": "est5_motec_comms_loss",
+    "est6_sd_emergency_brake": "est6_sd_ebrake",
+    "adlink_heartbeat_lost": "adlink_hb_lost",
+    "raptor_lost_race_control": "rc_lost",
+}
+WARNING_BITS = [
+    "sd_system_warning",
+    *(f"sd_{axis}_warning{channel}" for axis in ("brake", "steer") for channel in (1, 2, 3)),
+]
+SENSORS = {
+    "gnss_a": ("gnss_a_position", 100_000),
+    "gnss_b": ("gnss_b_position", 100_000),
+    "imu": ("imu_rates", 20_000),
+}
+
+CASES: list[tuple[str, str, Provoke]] = [
+    ("parameter_write_late", "write", late_write),
+    ("executive_overrun", "cost", cost(lib.OBC_TASK_STATUS, 11_000)),
+    ("executive_late", "missed", late),
+    ("launch_withdrawn", "withdrawn", signal("launch_request", launch_wanted=0)),
+    ("launch_withdrawn", "silent", silent("launch_request")),
+    *((f"{s}_timeout", "silent", silent(first)) for s, (first, _) in SENSORS.items()),
+    *((f"{s}_low_rate", "slow", slow(s, period)) for s, (_, period) in SENSORS.items()),
+    ("gnss_a_wrong_size", "short", silent("gnss_a_attitude")),
+    ("gnss_b_wrong_size", "short", silent("gnss_b_quality")),
+    ("imu_wrong_size", "short", silent("imu_specific_force")),
+    *(
+        case
+        for number, name in ((0, "estimation"), (1, "planning"))
+        for case in (
+            (f"{name}_not_ok", "inactive", node(number, code=100)),
+            (f"{name}_failed", "error", node(number, code=200)),
+            (f"{name}_failed", "dead", node(number, code=255)),
+            (f"{name}_failed", "silent", node(number, silent=True)),
+            (f"{name}_stalled", "frozen", node(number, frozen=True)),
+            (f"{name}_low_reliability", "low", node(number, reliability=49.5)),
+        )
+    ),
+    ("estimate_degraded", "level", signal("estimate_quality", estimate_quality_level=2)),
+    ("estimate_bad", "level", signal("estimate_quality", estimate_quality_level=1)),
+    ("estimate_lost", "level", signal("estimate_quality", estimate_quality_level=0)),
+    ("estimate_lost", "position", silent("estimate_position")),
+    ("estimate_lost", "motion", silent("estimate_motion")),
+    ("estimate_lost", "quality", silent("estimate_quality")),
+    ("plan_stale", "silent", attribute("planning", False)),
+    ("plan_stale", "incomplete", lambda harness: harness.filters.append(drop("trajectory_header"))),
+    ("path_left", "offset", signal("estimate_position", estimate_y=3.5)),
+    ("command_invalid", "memory", lambda harness: setattr(harness.obc, "dbw_violations", lib.DBW_VIOLATION_THROTTLE)),
+    ("lqr_invalid", "nan", spoil_lqr),
+    ("control_late", "cost", cost(lib.OBC_TASK_CONTROL, 2_000)),
+    ("lateral_acceleration_high", "spin", signal("estimate_motion", estimate_yaw_rate=3.0)),
+    ("wheel_speed_missing", "silent", silent("wheel_speed_report")),
+    ("brake_report_missing", "silent", silent("brake_pressure_report")),
+    ("brake_report_missing", "stuck", signal("brake_pressure_report", brk_pressure_fdbk_counter=7)),
+    ("steering_report_missing", "silent", silent("steering_report")),
+    ("steering_report_missing", "stuck", signal("steering_report", steering_motor_fdbk_counter=7)),
+    ("misc_report_missing", "silent", silent("misc_report")),
+    ("misc_report_missing", "stuck", signal("misc_report", raptor_rolling_counter=7)),
+    ("powertrain_report_missing", "silent", silent("pt_report_1")),
+    ("diagnostic_report_missing", "silent", silent("diagnostic_report")),
+    ("raptor_emergency", "shutdown", signal("misc_report", sys_state=16)),
+    ("raptor_emergency", "critical", signal("misc_report", sys_state=18)),
+    *(("sd_warning", bit, signal("diagnostic_report", **{bit: 1})) for bit in WARNING_BITS),
+    ("motec_warning", "value", signal("diagnostic_report", motec_warning=3)),
+    *((fault, bit, signal("diagnostic_report", **{bit: 1})) for fault, bit in DIAGNOSTIC.items()),
+    ("race_control_lost", "silent", silent("base_to_car_summary")),
+    ("race_control_lost", "frozen", signal("base_to_car_summary", base_to_car_heartbeat=3)),
+]
+
+# Rejected files are in test_obc_bad_input; controllers without a state of their own are never not finite on finite
+# frames, so what follows if they are is proven in test_ssm_states.
+PROVEN_ELSEWHERE = {"parameters_rejected", "stanley_invalid", "pure_pursuit_invalid"}
+
+
+def test_no_fault_is_left_out() -> None:
+    assert {name for name, _, _ in CASES} | PROVEN_ELSEWHERE == set(FAULTS)
+
+
+@pytest.mark.parametrize(("name", "provoke"), [pytest.param(n, p, id=f"{n}-{way}") for n, way, p in CASES])
+def test_fault(name: str, provoke: Provoke) -> None:
+    harness = ObcHarness()
+    harness.plan_speed = 30.0
+    harness.drive()
+    harness.set_speed(20.0)
+    harness.signals["pt_report_1"] |= {"current_gear": 2, "engine_speed_rpm": 5000}
+    harness.run(30)
+    assert (harness.state, harness.active_faults()) == (lib.SSM_NOMINAL, set())
+
+    fault = FAULTS[name]
+    harness.log.clear()
+    provoke(harness)
+    ticks = 0
+    while fault.id not in harness.active_faults():
+        harness.tick()
+        ticks += 1
+        assert ticks < 250, f"{name} never became active"
+    event = database.message("fault_event")
+    events = [event.decode(f.data) for f in iterate(harness.sent) if f.id == event.frame_id]
+    assert (fault.id, 1) in [(int(e[0]), int(e[1])) for e in events], "the event leaves in the tick of the reaction"
+
+    reaction = REACTIONS.index(fault.reaction)
+    assert harness.value("ssm_status", "ssm_reaction") >= reaction
+    if reaction == lib.FAULT_REACTION_FULL_BRAKE:
+        assert harness.state == lib.SSM_FULL_BRAKE
+        assert (harness.brake_kpa, harness.throttle) == (6000, 0)
+        harness.run(20)
+        assert harness.ct_state == lib.CT_EMRG_SHUTDOWN
+    elif reaction == lib.FAULT_REACTION_SAFE_STOP:
+        harness.run(2)
+        assert harness.state in (lib.SSM_EMERGENCY, lib.SSM_FULL_BRAKE)
+        assert harness.throttle == 0
+        assert harness.brake_kpa > 0
+        assert harness.value("ssm_status", "ssm_max_speed") == 0
+    elif reaction >= lib.FAULT_REACTION_DEGRADE:
+        assert harness.state >= lib.SSM_DEGRADED
+        if harness.state == lib.SSM_DEGRADED:
+            assert harness.value("ssm_status", "ssm_max_speed") == 30.0
+    if reaction == lib.FAULT_REACTION_SWITCH_CONTROLLER:
+        assert harness.value("ssm_status", "ssm_controller") == lib.CONTROL_STANLEY
+
+
+def test_driving_goes_on_after_a_short_sensor_gap() -> None:
+    harness = ObcHarness()
+    harness.plan_speed = 30.0
+    harness.drive()
+    periods = dict(harness.periods)
+    del harness.periods["gnss_a_position"]
+    harness.run(25)
+    assert harness.state == lib.SSM_DEGRADED
+    harness.periods = periods
+    harness.run(250)
+    assert harness.state == lib.SSM_NOMINAL
+
+
+def test_safe_stop_then_holding_brake_then_reset() -> None:
+    harness = ObcHarness()
+    harness.plan_speed = 30.0
+    harness.drive()
+    harness.set_speed(20.0)
+    harness.run(20)
+    harness.node_codes[1] = 200
+    harness.run(10)
+    assert harness.state == lib.SSM_EMERGENCY
+    harness.node_codes[1] = 0
+    harness.set_speed(0.0)
+    harness.run(100)
+    assert harness.state == lib.SSM_EMERGENCY
+    assert harness.throttle == 0
+    assert harness.brake_kpa >= 500
+    harness.signals["launch_request"]["launch_wanted"] = 0
+    harness.run(20)
+    harness.signals["launch_request"]["launch_wanted"] = 1
+    harness.run(20)
+    assert harness.state == lib.SSM_NOMINAL
+
+
+def test_stale_inputs_take_the_throttle_away_before_any_reaction() -> None:
+    harness = ObcHarness()
+    harness.plan_speed = 40.0
+    harness.drive()
+    harness.set_speed(20.0)
+    harness.signals["pt_report_1"] |= {"current_gear": 2, "engine_speed_rpm": 5000}
+    harness.run(40)
+    assert harness.throttle > 0
+    for name in ("estimate_position", "estimate_motion", "estimate_quality"):
+        del harness.periods[name]
+    harness.run(7)
+    assert harness.state == lib.SSM_NOMINAL, "the debounce still runs"
+    assert harness.throttle == 0
+    assert harness.brake_kpa >= 2000
+
+
+def test_full_brake_is_steered() -> None:
+    harness = ObcHarness()
+    harness.plan_speed = 30.0
+    harness.drive()
+    harness.set_speed(20.0)
+    harness.signals["estimate_position"]["estimate_y"] = 2.0
+    harness.run(30)
+    before = harness.value("steering_cmd", "steering_motor_ang_cmd")
+    assert before < 0, "left of the path: steer right"
+    harness.signals["misc_report"]["sys_state"] = 16
+    harness.signals["estimate_position"]["estimate_y"] = -2.0
+    harness.run(60)
+    assert harness.state == lib.SSM_FULL_BRAKE
+    assert harness.brake_kpa == 6000
+    assert harness.value("steering_cmd", "steering_motor_ang_cmd") > 0

@@ -1,0 +1,229 @@
+"""System Status Manager: states, reactions, limits and the choice of the controller."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from bridge._native import ffi, lib
+
+NOMINAL_LIMITS = (63.0, 8.0, 10.0)
+DEGRADED_LIMITS = (30.0, 3.0, 10.0)
+
+WARN = lib.FAULT_GNSS_A_WRONG_SIZE
+DEGRADE = lib.FAULT_GNSS_A_TIMEOUT
+SAFE_STOP = lib.FAULT_IMU_TIMEOUT
+FULL_BRAKE = lib.FAULT_MISC_REPORT_MISSING
+
+
+class Ssm:
+    """An SSM with a healthy input that a test changes."""
+
+    def __init__(self) -> None:
+        self.c = ffi.new("ssm *")
+        self.conditions = ffi.new("fault_conditions *")
+        self.input = ffi.new("ssm_input *")
+        self.input.conditions = self.conditions
+        self.input.nominal = NOMINAL_LIMITS
+        self.input.degraded = DEGRADED_LIMITS
+        self.input.verdict = lib.PARAMETER_VERDICT_ACCEPTED
+        self.input.degraded_allowed = True
+        self.input.launch_wanted = True
+        self.input.standing_still = True
+        self.out = ffi.new("ssm_output *")
+
+    def step(self, *present: int, count: int = 1) -> int:
+        for index in range(lib.FAULT_COUNT):
+            self.conditions.present[index] = index in present
+        for _ in range(count):
+            lib.ssm_step(self.c, self.input, self.out)
+            self.input.now_us += 10_000
+        return int(self.out.state)
+
+    def nominal(self) -> Ssm:
+        self.step(count=4)
+        assert self.out.state == lib.SSM_NOMINAL
+        return self
+
+    def driving(self) -> Ssm:
+        self.nominal()
+        self.input.driving = True
+        self.input.standing_still = False
+        return self
+
+    @property
+    def limits(self) -> tuple[float, float, float]:
+        limits = self.out.limits
+        return (limits.max_speed, limits.max_acceleration, limits.max_deceleration)
+
+
+def nothing_allowed(out: Any) -> bool:
+    return not out.drive_allowed and out.limits.max_speed == 0 and out.limits.max_acceleration == 0
+
+
+def test_way_to_nominal() -> None:
+    ssm = Ssm()
+    seen = [ssm.step() for _ in range(4)]
+    assert seen == [lib.SSM_CONFIG_CHECK, lib.SSM_LAUNCHING, lib.SSM_NOMINAL, lib.SSM_NOMINAL]
+    assert ssm.out.drive_allowed
+    assert ssm.out.controller == lib.CONTROL_LQR
+    assert ssm.limits == NOMINAL_LIMITS
+    assert (ssm.out.reaction, ssm.out.worst_fault, ssm.out.active_faults) == (0, 0, 0)
+
+
+def test_waits_for_the_configuration() -> None:
+    ssm = Ssm()
+    ssm.input.verdict = lib.PARAMETER_VERDICT_PENDING
+    assert ssm.step(count=1000) == lib.SSM_CONFIG_CHECK
+    assert nothing_allowed(ssm.out)
+    ssm.input.verdict = lib.PARAMETER_VERDICT_ACCEPTED
+    assert ssm.step() == lib.SSM_LAUNCHING
+    assert nothing_allowed(ssm.out)
+
+
+def test_rejected_configuration_is_a_full_brake_for_good() -> None:
+    ssm = Ssm()
+    ssm.input.verdict = lib.PARAMETER_VERDICT_REJECTED
+    assert ssm.step(lib.FAULT_PARAMETERS_REJECTED) == lib.SSM_FULL_BRAKE
+    assert ssm.out.worst_fault == lib.FAULT_PARAMETERS_REJECTED
+    ssm.input.verdict = lib.PARAMETER_VERDICT_ACCEPTED
+    for wanted in (False, True, False, True):
+        ssm.input.launch_wanted = wanted
+        assert ssm.step(count=100) == lib.SSM_FULL_BRAKE
+    assert nothing_allowed(ssm.out)
+    assert ssm.out.reaction == lib.FAULT_REACTION_FULL_BRAKE
+
+
+def test_no_launch_without_the_operator() -> None:
+    ssm = Ssm()
+    ssm.input.launch_wanted = False
+    assert ssm.step(count=500) == lib.SSM_LAUNCHING
+    assert nothing_allowed(ssm.out)
+
+
+@pytest.mark.parametrize("fault", [i for i in range(1, lib.FAULT_COUNT) if lib.fault_table[i].blocks_launch])
+def test_condition_keeps_from_nominal_without_latching(fault: int) -> None:
+    ssm = Ssm()
+    assert ssm.step(fault, count=500) == lib.SSM_LAUNCHING
+    assert ssm.out.active_faults == 0
+    assert ssm.step() == lib.SSM_NOMINAL
+
+
+def test_warning_changes_nothing() -> None:
+    ssm = Ssm().nominal()
+    assert ssm.step(WARN) == lib.SSM_NOMINAL
+    assert ssm.out.reaction == lib.FAULT_REACTION_WARN
+    assert ssm.limits == NOMINAL_LIMITS
+
+
+def test_degrades_and_recovers() -> None:
+    ssm = Ssm().nominal()
+    assert ssm.step(DEGRADE) == lib.SSM_DEGRADED
+    assert ssm.limits == DEGRADED_LIMITS
+    assert ssm.out.drive_allowed
+    assert not ssm.out.safe_stop
+    assert ssm.step(count=lib.fault_table[DEGRADE].clear_cycles - 1) == lib.SSM_DEGRADED
+    assert ssm.step() == lib.SSM_NOMINAL
+
+
+def test_degraded_driving_not_allowed_becomes_a_safe_stop() -> None:
+    for fault in (DEGRADE, lib.FAULT_LQR_INVALID):
+        ssm = Ssm().driving()
+        ssm.input.degraded_allowed = False
+        assert ssm.step(fault) == lib.SSM_EMERGENCY
+        assert ssm.out.reaction == lib.FAULT_REACTION_SAFE_STOP
+    ssm = Ssm().nominal()
+    ssm.input.degraded_allowed = False
+    assert ssm.step(WARN) == lib.SSM_NOMINAL
+
+
+def test_safe_stop_holds_until_the_operator_resets_at_standstill() -> None:
+    ssm = Ssm().driving()
+    assert ssm.step(SAFE_STOP) == lib.SSM_EMERGENCY
+    assert ssm.out.safe_stop
+    assert ssm.out.drive_allowed
+    assert ssm.limits == (0.0, 0.0, NOMINAL_LIMITS[2])
+    assert ssm.step(count=1000) == lib.SSM_EMERGENCY, "the condition is gone, the latch is not"
+    ssm.input.launch_wanted = False
+    ssm.step()
+    ssm.input.launch_wanted = True
+    assert ssm.step() == lib.SSM_EMERGENCY, "no reset while the car moves"
+    ssm.input.standing_still = True
+    assert ssm.step(count=10) == lib.SSM_EMERGENCY, "standing still is no reset"
+    ssm.input.launch_wanted = False
+    assert ssm.step(count=10) == lib.SSM_EMERGENCY, "withdrawing is no reset"
+    ssm.input.launch_wanted = True
+    assert ssm.step() == lib.SSM_LAUNCHING, "a reset leads back through the launch checks"
+    assert ssm.step() == lib.SSM_NOMINAL
+
+
+def test_reset_with_the_condition_present_stays_in_emergency() -> None:
+    ssm = Ssm().nominal()
+    ssm.step(SAFE_STOP)
+    ssm.input.launch_wanted = False
+    ssm.step(SAFE_STOP)
+    ssm.input.launch_wanted = True
+    assert ssm.step(SAFE_STOP) == lib.SSM_EMERGENCY
+
+
+@pytest.mark.parametrize("before", [None, WARN, DEGRADE, SAFE_STOP])
+def test_full_brake_from_every_state_and_for_good(before: int | None) -> None:
+    ssm = Ssm().driving()
+    if before is not None:
+        ssm.step(before)
+    assert ssm.step(FULL_BRAKE) == lib.SSM_FULL_BRAKE
+    assert nothing_allowed(ssm.out)
+    assert ssm.limits == (0.0, 0.0, 0.0)
+    assert ssm.out.controller == lib.CONTROL_LQR, "a full brake is steered"
+    ssm.input.standing_still = True
+    for wanted in (False, True, False, True):
+        ssm.input.launch_wanted = wanted
+        assert ssm.step(count=300) == lib.SSM_FULL_BRAKE
+    assert ssm.out.reaction == lib.FAULT_REACTION_FULL_BRAKE
+
+
+def test_controllers_in_order_then_full_brake() -> None:
+    ssm = Ssm().driving()
+    for fault, controller in (
+        (lib.FAULT_LQR_INVALID, lib.CONTROL_STANLEY),
+        (lib.FAULT_STANLEY_INVALID, lib.CONTROL_PURE_PURSUIT),
+    ):
+        assert ssm.step(fault) == lib.SSM_DEGRADED
+        assert ssm.out.controller == controller
+        assert ssm.limits == DEGRADED_LIMITS
+    assert ssm.step(lib.FAULT_PURE_PURSUIT_INVALID) == lib.SSM_FULL_BRAKE
+    assert ssm.out.controller == lib.CONTROL_NONE
+    ssm.input.standing_still = True
+    ssm.input.launch_wanted = False
+    ssm.step()
+    ssm.input.launch_wanted = True
+    assert ssm.step(count=10) == lib.SSM_FULL_BRAKE, "a reset frees the controllers, not the brake"
+    assert ssm.out.reaction == lib.FAULT_REACTION_FULL_BRAKE
+
+
+def test_switched_controller_returns_by_reset_only() -> None:
+    ssm = Ssm().driving()
+    ssm.step(lib.FAULT_LQR_INVALID)
+    ssm.step(count=1000)
+    assert ssm.out.controller == lib.CONTROL_STANLEY
+    ssm.input.standing_still = True
+    ssm.input.launch_wanted = False
+    ssm.step()
+    ssm.input.launch_wanted = True
+    assert ssm.step() == lib.SSM_NOMINAL
+    assert ssm.out.controller == lib.CONTROL_LQR
+
+
+def test_driving_faults_only_while_driving() -> None:
+    ssm = Ssm().nominal()
+    assert ssm.step(lib.FAULT_LQR_INVALID, count=10) == lib.SSM_NOMINAL
+    ssm.input.driving = True
+    assert ssm.step(lib.FAULT_LQR_INVALID) == lib.SSM_DEGRADED
+
+
+def test_state_that_does_not_exist_is_a_full_brake() -> None:
+    ssm = Ssm().nominal()
+    ssm.c.state = 7
+    assert ssm.step() == lib.SSM_FULL_BRAKE
+    assert nothing_allowed(ssm.out)
