@@ -85,7 +85,7 @@ static bool can_vote(const space_drive_channel *channel)
     return channel->sensor_valid && !channel->excluded;
 }
 
-static void vote_demand(space_drive_axis *self, const space_drive_axis_config *config, bool fresh_only)
+static void vote_demand(space_drive_axis *self, const space_drive_axis_config *config)
 {
     float demands[SPACE_DRIVE_CHANNELS] = {0.0f};
     bool usable[SPACE_DRIVE_CHANNELS] = {false};
@@ -95,8 +95,8 @@ static void vote_demand(space_drive_axis *self, const space_drive_axis_config *c
         space_drive_channel *channel = &self->channels[i];
         if (can_vote(channel)) {
             channel->demand = channel_demand(channel, config);
-            usable[i] = !fresh_only || channel->request.state == SPACE_DRIVE_REQUEST_FRESH;
-            voters += usable[i] ? 1U : 0U;
+            usable[i] = true;
+            voters++;
         }
         demands[i] = channel->demand;
     }
@@ -125,6 +125,5 @@ void space_drive_axis_step(space_drive_axis *self, const space_drive_axis_config
     }
     self->ready = known >= 2U;
     self->requests_lost = self->ready && !self->failed && fresh < 2U;
-    /* A channel that lost its requests keeps an old target: it must not pull the others while two are fresh. */
-    vote_demand(self, config, fresh >= 2U);
+    vote_demand(self, config);
 }

@@ -279,6 +279,17 @@ def test_throttle_passes_in_driving_only() -> None:
             assert sent.value("accelerator_report", "acc_pedal_fdbk") == 0.0
 
 
+@pytest.mark.parametrize("fault", [1 << bit for bit in range(8)])
+def test_any_command_fault_closes_the_throttle_and_brakes_in_the_same_step(fault: int) -> None:
+    """The demand does not wait for the state machine."""
+    car = driving()
+    car.c.commands.faults = fault
+    inputs = ffi.new("raptor_demand_input *", {"commands": ffi.addressof(car.c.commands), "sys_state": 9})
+    demand = ffi.addressof(car.c.demand)
+    lib.raptor_demand_step(demand, ffi.addressof(car.c.config), inputs, car.now_us)
+    assert (demand.throttle, demand.brake) == (0.0, FULL_BRAKE)
+
+
 def test_the_brake_is_held_before_driving_and_follows_the_command_in_it() -> None:
     hold = lib.raptor_config_default.brake_hold
     for state in (1, 2, 4, 5, 6, 8):

@@ -149,26 +149,38 @@ def test_of_two_channels_left_a_disagreement_is_an_emergency() -> None:
     assert drive.c.emergency == lib.SPACE_DRIVE_EMERGENCY_STEER_SENSORS
 
 
-def test_a_channel_that_lost_its_receiver_does_not_pull_the_others() -> None:
-    """One channel's receiver went deaf, a second channel has no sensor: the old target must not enter the mean."""
-    drive, requests = driving(steer=0.1)
-    deaf = drive.c.steer.channels[0].request
-    requests.steer = 0.3
-    drive.follow = True
-    for _ in range(30):
-        before = bytes(ffi.buffer(ffi.addressof(deaf)))
+def deafen(drive: SpaceDrive, requests: Requests, channels: tuple[int, ...], ticks: int = 30) -> None:
+    """Tick while these channels' steering receivers take every request for a repeated one."""
+    for _ in range(ticks):
+        for channel in channels:
+            drive.c.steer.channels[channel].request.rx.counter = (requests.counter + 1) % 256
         drive.tick(requests.frames())
-        ffi.buffer(ffi.addressof(deaf))[:] = before
-        deaf.state = lib.SPACE_DRIVE_REQUEST_LOST
+
+
+def test_a_channel_that_lost_its_receiver_does_not_pull_the_others() -> None:
+    drive, requests = driving(steer=0.1)
+    drive.follow = True
+    requests.steer = 0.3
+    deafen(drive, requests, (0,))
     assert drive.c.emergency == 0
     assert drive.drive.steer_motor_demand == pytest.approx(0.3, abs=2.6e-4)
-    drive.follow = False
+
+
+def test_two_channels_that_lost_their_receivers_are_an_emergency() -> None:
+    drive, requests = driving()
+    deafen(drive, requests, (0, 2))
+    assert drive.c.emergency == lib.SPACE_DRIVE_EMERGENCY_STEER_REQUESTS
+    assert drive.drive.brake_pressure_demand == FULL_BRAKE
+
+
+def test_of_two_channels_left_one_that_lost_its_receiver_is_an_emergency() -> None:
+    drive, requests = driving()
     drive.wired.steer_motor_angle[1] = NAN
     for _ in range(10):
         drive.tick(requests.frames())
-        deaf.state = lib.SPACE_DRIVE_REQUEST_LOST
-        deaf.last_valid_us = 0
-    assert drive.drive.steer_motor_demand == pytest.approx(0.3, abs=2.6e-4)
+    assert drive.c.emergency == 0
+    deafen(drive, requests, (0,))
+    assert drive.c.emergency == lib.SPACE_DRIVE_EMERGENCY_STEER_REQUESTS
 
 
 def test_the_lead_over_the_own_sensor_is_bounded() -> None:
