@@ -32,7 +32,8 @@ from dbc.frames import FRAME_DTYPE, FRAME_SIZE, FRAME_STRUCT, Flag
 
 #: Names inside the folder of a recording.
 CANDUMP, BLF, SIGNALS, TRUTH = "frames.log", "frames.blf", "signals", "truth.parquet"
-_PARTIAL = ".partial"
+#: Folder in it where the recording grows.
+PARTIAL = ".partial"
 
 #: One record from the recorder: kind and length, then that many bytes.
 RECORD = Struct("<cQ")
@@ -171,7 +172,7 @@ class LogWriter:
 
     def __init__(self, folder: Path, names: Sequence[str], units: Sequence[str]) -> None:
         self._folder = folder
-        self._partial = folder / _PARTIAL
+        self._partial = folder / PARTIAL
         shutil.rmtree(self._partial, ignore_errors=True)  # left by a run that was killed
         (self._partial / SIGNALS).mkdir(parents=True)
         self._logs = FrameLogs(self._partial)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -21,6 +22,7 @@ from bridge.log_writer import (
     CANDUMP,
     END_RECORD,
     FRAMES_RECORD,
+    PARTIAL,
     RECORD,
     SIGNALS,
     TRUTH,
@@ -144,5 +146,6 @@ class Recorder:
             stream.close()
 
     def _failed(self, complaint: bytes) -> RaceloopError:
+        shutil.rmtree(self._folder / PARTIAL, ignore_errors=True)  # a writer that was killed could not
         lines = complaint.decode("utf-8", "replace").strip().splitlines()
         return RaceloopError(lines[-1] if lines else f"{self._folder}: the recording's writer ended unexpectedly")

@@ -181,10 +181,18 @@ def test_death_of_the_writer_is_reported(tmp_path: Path):
     recorder = Recorder(tmp_path, NAMES, UNITS)
     os.kill(recorder._process.pid, 9)
     recorder._process.wait()
+    frames = random_frames(2000)
     with pytest.raises(RaceloopError, match="ended unexpectedly"):
-        for _ in range(200):
-            recorder.add_frames(random_frames(2000))
+        add_until_refused(recorder, frames)
     recorder.abort()
+    assert list(tmp_path.iterdir()) == []
+
+
+def add_until_refused(recorder: Recorder, frames: np.ndarray) -> None:
+    """A pipe's death is noticed at a later write: add until then, or finish."""
+    for _ in range(200):
+        recorder.add_frames(frames)
+    recorder.finish()
 
 
 @pytest.mark.parametrize(
