@@ -215,13 +215,16 @@ class GnssFilter:
             ]
         )
         noise = np.diag([gnss.std_x**2, gnss.std_y**2, gnss.std_velocity**2, gnss.std_velocity**2, gnss.std_yaw**2])
-        covariance = self._kalman.P[:_MEASUREMENTS, :_MEASUREMENTS] + noise
-        self.distance = math.sqrt((innovation.T @ np.linalg.solve(covariance, innovation)).item())
+        kalman = self._kalman
+        prior = kalman.P
+        kalman.update(innovation, R=noise)
+        # The filter has inverted the innovation's covariance already; asking it first would cost that twice.
+        self.distance = math.sqrt((kalman.y.T @ kalman.SI @ kalman.y).item())
         if not self.distance <= self._tuning.gate:
+            kalman.x, kalman.P = np.zeros((_STATES, 1)), prior
             return False
-        self._kalman.update(innovation, R=noise)
-        error = self._kalman.x[:, 0].tolist()
-        self._kalman.x = np.zeros((_STATES, 1))
+        error = kalman.x[:, 0].tolist()
+        kalman.x = np.zeros((_STATES, 1))
         self.x += error[X]
         self.y += error[Y]
         self.velocity_east += error[VE]

@@ -94,6 +94,8 @@ class _Receiver:
             self.filter.predict(motion, dt)
 
     def take(self, now_us: int, gnss: GnssSample) -> None:
+        if not all(map(math.isfinite, gnss)):
+            return
         if not self.filter.started or now_us - self._used_us > self._limits.restart_us:
             self.filter.start(gnss)
             # A fresh start proves nothing yet: it begins as degraded and has to earn a better level.

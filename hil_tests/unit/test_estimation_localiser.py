@@ -183,6 +183,19 @@ def test_a_silent_imu_is_bad():
     assert history[-1][1].quality is Quality.BAD
 
 
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_an_epoch_that_is_not_finite_counts_as_lost(value):
+    history = list(Rig(fault_a=after(5.0, lambda _, g: g._replace(x=value))).run(8.0))
+    assert history[-1][1].source == 2
+    assert max(h[2] for h in history[300:]) < 0.2
+
+
+def test_an_epoch_that_is_not_finite_starts_nothing():
+    localiser = Localiser(lambda *_: (0.0, 0.0))
+    nothing = GnssSample(math.nan, 0.0, 0.0, 0.0, 0.0, 0.05, 0.05, 0.03, 0.003)
+    assert localiser.step(0, imu_sample(), nothing, None) is None
+
+
 def test_runs_are_reproducible():
     first, second = ([h[1] for h in Rig().run(3.0)] for _ in range(2))
     assert first == second

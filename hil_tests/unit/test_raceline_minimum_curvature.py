@@ -41,7 +41,7 @@ def test_a_small_oval_matches_a_dense_optimisation():
     # Small enough for a dense quasi-Newton method on the true energy of the polygon.
     centre = mirrored_lap([Piece(30.0, 0.0, 0.0), Piece(94.0, 1 / 30.0, 1 / 30.0)], (0.0, 0.0, 0.0), 0.5)
     track = plain_track(centre, 5.0)
-    path = minimum_curvature_path(track, 1.0, spacing=6.0)
+    path = minimum_curvature_path(track, 1.0, spacing=8.0)
 
     count = path.count
     stations = np.arange(count) * (centre.length / count)
