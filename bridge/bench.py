@@ -67,7 +67,6 @@ class Bench:
     scenario : what race control and people do, seed, end.
     parameters : frames of the operation parameters, closed by their commit.
     taps : open python-can buses by channel name (CAN1, CAN3, CANA, CANS).
-    recorder : takes frames and truth, or None.
 
     Attributes
     ----------
@@ -86,7 +85,6 @@ class Bench:
         scenario: Scenario,
         parameters: bytes,
         taps: Mapping[str, can.BusABC] | None = None,
-        recorder: Recorder | None = None,
     ) -> None:
         if road.origin is None:
             raise ConfigurationError(scenario.track, "origin", "is missing; GNSS needs the track's place on the Earth")
@@ -113,7 +111,7 @@ class Bench:
         self._sensors = SensorSuite(road.origin, scenario.seed)
         self._truth_reader = TruthReader(plant.output_names)
         self._taps = Taps(taps) if taps else None
-        self._recorder = recorder
+        self._recorder: Recorder | None = None
         misc, report = database.message("misc_report"), database.message("ct_report")
         self._misc_watch = self.network.watch(misc.bus, misc.frame_id)
         self._report_watch = self.network.watch(report.bus, report.frame_id)
@@ -154,11 +152,13 @@ class Bench:
         start = load_vehicle(scenario.vehicle) | {"x0": x, "y0": y, "yaw0": yaw, "v0": 0.0}
         plant = Plant(_fmu_of(scenario), start)
         try:
-            recorder = Recorder(folder, plant.output_names, plant.output_units) if folder is not None else None
-            return cls(plant, road, autonomy, scenario, parameters, taps, recorder)
+            bench = cls(plant, road, autonomy, scenario, parameters, taps)
+            if folder is not None:
+                bench.record_to(folder)
         except BaseException:
             plant.close()
             raise
+        return bench
 
     def __enter__(self) -> Bench:
         return self
@@ -167,6 +167,10 @@ class Bench:
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
         self.close()
+
+    def record_to(self, folder: Path) -> None:
+        """Record from here on; `finish` puts the recording into place."""
+        self._recorder = Recorder(folder, self.plant.output_names, self.plant.output_units)
 
     def tick(self) -> None:
         """One minor frame, in the order that never changes."""

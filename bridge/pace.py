@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import time
 
+from dbc.errors import ConfigurationError
+
 
 class WallClockPace:
     """Waits before each tick until the wall clock has caught up with simulated time.
@@ -19,7 +21,7 @@ class WallClockPace:
 
     def __init__(self, rt_ratio: float) -> None:
         if not rt_ratio > 0.0:
-            raise ValueError(f"rt_ratio is {rt_ratio}; must be more than 0")
+            raise ConfigurationError("pace", "rt_ratio", f"is {rt_ratio}; must be more than 0")
         self._ratio = rt_ratio
         self._start_s: float | None = None
         self.late_ticks = 0

@@ -74,10 +74,12 @@ def check_schema(path: Path, content: object, schema: Mapping[str, Any]) -> None
 
 def _explain(key: str, error: jsonschema.ValidationError) -> tuple[str, str]:
     """Key and problem in our words."""
-    value, limit = error.instance, error.validator_value
+    value: Any = error.instance
+    limit: Any = error.validator_value
+    schema: Any = error.schema
     match error.validator:
         case "additionalProperties":
-            allowed = sorted(error.schema["properties"])  # type: ignore[index, call-overload]
+            allowed = sorted(schema["properties"])
             unknown = next(name for name in value if name not in allowed)
             return _join(key, str(unknown)), f"unknown key; allowed are {', '.join(allowed)}"
         case "required":
@@ -95,7 +97,7 @@ def _explain(key: str, error: jsonschema.ValidationError) -> tuple[str, str]:
         case "exclusiveMinimum":
             return key, f"is {_show(value)}; must be more than {limit}"
         case "minProperties":
-            return key, f"is empty; must hold at least one of {', '.join(sorted(error.schema['properties']))}"  # type: ignore[index, call-overload]
+            return key, f"is empty; must hold at least one of {', '.join(sorted(schema['properties']))}"
         case "minItems":
             return key, "is empty; must hold at least one entry"
         case "minLength":
