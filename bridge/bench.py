@@ -149,7 +149,15 @@ class Bench:
         autonomy = autonomy_factory(scenario, road)
         parameters = parameter_frames(scenario.operation)
         x, y, yaw = road.pose_at(scenario.start_s_m, scenario.start_d_m)
-        start = load_vehicle(scenario.vehicle) | {"x0": x, "y0": y, "yaw0": yaw, "v0": 0.0}
+        bank, grade = road.road_at_station(scenario.start_s_m)
+        start = load_vehicle(scenario.vehicle) | {
+            "x0": x,
+            "y0": y,
+            "yaw0": yaw,
+            "v0": 0.0,
+            "road_bank": bank,
+            "road_grade": grade,
+        }
         plant = Plant(_fmu_of(scenario), start)
         try:
             bench = cls(plant, road, autonomy, scenario, parameters, taps)
