@@ -27,6 +27,7 @@ from firmware.tables import (  # noqa: E402
     Fault,
     Parameter,
     ParameterSchema,
+    figure,
     load_faults,
     load_parameters,
 )
@@ -177,7 +178,7 @@ def parameter_page(schema: ParameterSchema) -> str:
     """Documentation page of the operation parameters."""
     rows = "\n".join(
         f"| `{p.name}` | {p.type} | {'-' if p.unit == '1' else p.unit} | {_figure(p.min, p)} | {_figure(p.max, p)} "
-        f"| {str(p.default).lower() if p.type == 'bool' else f'{p.default:g}'} | {p.safety} | {p.text} |"
+        f"| {str(p.default).lower() if p.type == 'bool' else figure(p.default)} | {p.safety} | {p.text} |"
         for p in schema.parameters
     )
     checks = "\n".join(f"- {check.allowed()}." for check in schema.cross_checks)
@@ -202,7 +203,7 @@ where a float is asked for; a float is not allowed for an int. The default is in
 
 
 def _figure(value: float, parameter: Parameter) -> str:
-    return "-" if parameter.type == "bool" else f"{value:g}"
+    return "-" if parameter.type == "bool" else figure(value)
 
 
 def fault_page(faults: tuple[Fault, ...]) -> str:

@@ -202,7 +202,7 @@ def decode_results(
         if status in (_COUNT_MISMATCH, _SCHEMA_MISMATCH):
             yield Offence("(all parameters)", f"{value:#x}", "one build of sender and firmware", _REASONS[status])
             continue
-        if status == _CROSS_CHECK:
+        if status == _CROSS_CHECK and value < len(schema.cross_checks):
             allowed = schema.cross_checks[value].allowed()
         elif key in known:
             allowed = known[key].allowed()

@@ -61,7 +61,7 @@ class Parameter:
             return "true or false"
         kind = "a whole number" if self.type == "int" else "a number"
         unit = "" if self.unit == "1" else f" {self.unit}"
-        return f"{kind} from {self.min:g} to {self.max:g}{unit}"
+        return f"{kind} from {figure(self.min)} to {figure(self.max)}{unit}"
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ class CrossCheck:
         """State the rule in words."""
         if self.kind == "less":
             return f"{self.left} below {self.right}: {self.text}"
-        return f"{self.left} times {self.right} at least {self.bound:g}: {self.text}"
+        return f"{self.left} times {self.right} at least {figure(self.bound)}: {self.text}"
 
 
 @dataclass(frozen=True)
@@ -122,6 +122,11 @@ class Fault:
     def clear_cycles(self) -> int:
         """Consecutive cycles without the condition before the fault may clear."""
         return self.clear_ms // CYCLE_MS if self.clear_ms else 1
+
+
+def figure(value: float) -> str:
+    """Write a number for people: no exponent, no trailing zeros."""
+    return f"{value:.10g}"
 
 
 def fnv1a(data: bytes) -> int:

@@ -48,7 +48,7 @@ class Dbw:
         found = {}
         for frame in self.frames:
             message = CAN1.get_message_by_frame_id(frame.id)
-            assert frame.bus == Bus.CAN1
+            assert (frame.bus, frame.flags) == (Bus.CAN1, 0)
             assert frame.dlc == message.length
             found[message.name] = message.decode(frame.data, decode_choices=False)
         return found
