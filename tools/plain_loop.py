@@ -241,12 +241,10 @@ class PlainLoop:
             if interface is None:
                 continue
             for message in _pending(interface):
-                values = self._databases[bus].decode_message(message.arbitration_id, message.data, decode_choices=False)
+                identifier, data = message.arbitration_id, bytes(message.data)
+                values = self._databases[bus].decode_message(identifier, data, decode_choices=False)
                 self._notice(bus, values)
-                data = bytes(message.data)
-                frames += FRAME_STRUCT.pack(
-                    self.now_us, message.arbitration_id, bus, len(data), 0, 0, data.ljust(8, b"\0")
-                )
+                frames += FRAME_STRUCT.pack(self.now_us, identifier, bus, len(data), 0, 0, data.ljust(8, b"\0"))
         return bytes(frames)
 
     def _notice(self, bus: Bus, values: Any) -> None:
