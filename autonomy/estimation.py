@@ -186,6 +186,10 @@ class GnssFilter:
         f[X, BIAS_AX], f[X, BIAS_AY] = -half * dt * cos, half * dt * sin
         f[Y, BIAS_AX], f[Y, BIAS_AY] = -half * dt * sin, -half * dt * cos
         f[YAW, BIAS_R] = -dt
+        # The heading that a rate bias has turned away turns the acceleration too.
+        sixth = dt * dt / 6.0
+        f[VE, BIAS_R], f[VN, BIAS_R] = half * self._sum_north, -half * self._sum_east
+        f[X, BIAS_R], f[Y, BIAS_R] = sixth * self._sum_north, -sixth * self._sum_east
         acceleration = t.acceleration_noise**2
         q[X, X] = q[Y, Y] = acceleration * dt**3 / 3.0
         q[X, VE] = q[VE, X] = q[Y, VN] = q[VN, Y] = acceleration * dt**2 / 2.0

@@ -194,6 +194,32 @@ def test_it_matches_an_own_kalman_filter():
         np.testing.assert_allclose(f.covariance, p, rtol=1e-4, atol=1e-12)
 
 
+@pytest.mark.parametrize("state", ["yaw", "bias_ax", "bias_ay", "bias_yaw_rate"])
+def test_the_covariance_moves_as_the_state_does(state):
+    """Sensitivity of the prediction to one initial error by finite differences, against the propagated covariance."""
+    sigma, change = 0.01, 1e-6
+    index = {"yaw": YAW, "bias_ax": BIAS_AX, "bias_ay": BIAS_AY, "bias_yaw_rate": BIAS_R}[state]
+    quiet = FilterTuning(0.0, 0.0, 0.0, 0.0, sigma if state in ("bias_ax", "bias_ay") else 0.0, sigma)
+
+    def predicted(error):
+        f = GnssFilter(quiet)
+        f.start(GnssSample(0.0, 0.0, 40.0, 10.0, 0.7, 1e-9, 1e-9, 1e-9, sigma if state == "yaw" else 1e-9))
+        setattr(f, state, getattr(f, state) + error)
+        f.ax, f.ay, f.yaw_rate = 5.0 - f.bias_ax, 17.0 - f.bias_ay, 0.1 - f.bias_yaw_rate
+        for _ in range(EPOCH):
+            f.predict(LevelMotion(5.0, 17.0, 0.1), DT)
+        f.propagate_covariance()
+        return f
+
+    reference, moved = predicted(0.0), predicted(change)
+    slopes = [
+        (getattr(moved, name) - getattr(reference, name)) / change
+        for name in ("x", "y", "velocity_east", "velocity_north", "yaw")
+    ]
+    got = reference.covariance[: YAW + 1, index] / sigma**2
+    np.testing.assert_allclose(got, slopes, rtol=0.02, atol=2e-3)
+
+
 def test_prediction_alone_follows_a_circle():
     f = GnssFilter(FilterTuning())
     v, radius = 60.0, 233.0

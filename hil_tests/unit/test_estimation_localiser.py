@@ -117,6 +117,14 @@ def test_losing_one_receiver_switches_without_a_jump(which, keeps):
     assert distance == math.inf
 
 
+def test_receivers_that_differ_do_not_make_the_estimate_jump_at_the_switch():
+    offset = after(0.0, lambda _, g: g._replace(x=g.x + 0.5))
+    history = list(Rig(fault_a=LOST, fault_b=offset).run(12.0))
+    assert history[-1][1].source == 2
+    assert history[-1][2] == pytest.approx(0.5, abs=0.1)  # it does go over to B's place in the end
+    assert max(steps(history[300:])) < 0.04
+
+
 def test_the_switch_after_a_loss_is_quick():
     history = list(Rig(fault_a=LOST).run(8.0))
     switched = next(h[0] for h in history if h[1].source == 2)
