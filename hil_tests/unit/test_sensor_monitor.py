@@ -83,6 +83,16 @@ def test_rate_counts_samples_of_the_last_second(sensor: int) -> None:
 
 
 @pytest.mark.parametrize("sensor", SENSORS)
+def test_rate_at_its_limit_is_enough(sensor: int) -> None:
+    sensors = Sensors()
+    sensors.run(sensor, 130)
+    nominal = 1_000_000 / PERIOD_US[sensor]
+    for min_rate, low in ((nominal, False), (nominal + 0.5, True)):
+        limits = ffi.new("sensor_limits *", LIMITS[sensor] | {"min_rate": min_rate})
+        assert lib.sensor_monitor_check(sensors.c, sensor, limits, sensors.now_us).low_rate == low
+
+
+@pytest.mark.parametrize("sensor", SENSORS)
 def test_timeout_at_its_limit(sensor: int) -> None:
     sensors = Sensors()
     sensors.run(sensor, 120)
