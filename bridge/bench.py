@@ -143,6 +143,7 @@ class Bench:
         RaceloopError
             When any of the files is wrong.
         """
+        database.check_sources()  # now rather than when the recording is done
         if isinstance(scenario, Path):
             scenario = load_scenario(scenario)
         road = road_factory(scenario.track)

@@ -18,6 +18,7 @@ from bridge.states import SysState
 from dbc.codec import database
 from dbc.errors import ConfigurationError, PlantError, RaceloopError
 from dbc.frames import Bus, Station
+from dbc.network import DIRECTORY
 from tools.run import DEFAULT_SCENARIO, build_bench
 
 
@@ -140,6 +141,17 @@ def test_no_fmu_and_no_origin_are_one_line(
     with pytest.raises(PlantError, match="not found"):
         build_bench(scenario)
     assert capfd.readouterr() == ("", "")
+
+
+def test_changed_dbc_file_is_refused_at_the_start(
+    scenario: Scenario, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for path in DIRECTORY.glob("*.dbc"):
+        (tmp_path / path.name).write_bytes(path.read_bytes() + (b"\n" if path.stem == "sensors" else b""))
+    monkeypatch.setattr(database, "_directory", tmp_path)
+    with pytest.raises(ConfigurationError, match=r"sensors\.dbc: differs .* build again"):
+        build_bench(scenario, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
 
 
 def test_wrong_operation_file_is_refused_before_anything_is_written(scenario: Scenario, tmp_path: Path):
