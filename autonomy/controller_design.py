@@ -58,8 +58,8 @@ class Weights:
 
     error: float = 0.5
     error_rate: float = 1.5
-    integral: float = 40.0
-    effort: float = 4.0
+    integral: float = 25.0
+    effort: float = 6.0
     steer_max: float = 0.03
 
 
@@ -103,8 +103,9 @@ def _discretise(a: Matrix, b: Matrix, period: float) -> tuple[Matrix, Matrix]:
     return block[:n, :n], block[:n, n:]
 
 
-def actuator_model(car: Mapping[str, float]) -> tuple[Matrix, Matrix]:
+def actuator_model(parameters: Mapping[str, float]) -> tuple[Matrix, Matrix]:
     """Steering actuator without its dead time, continuous; states angle and rate, shapes (2, 2) and (2, 1)."""
+    car = _Car(VEHICLE_FILE, parameters)
     omega = 2.0 * math.pi * car["steer_bandwidth"]
     a = np.array([[0.0, 1.0], [-omega * omega, -2.0 * car["steer_damping"] * omega]])
     return a, np.array([[0.0], [omega * omega]])
@@ -319,6 +320,7 @@ def source(vehicle_file: Path = VEHICLE_FILE) -> str:
 
 
 def main() -> None:
+    """Write the tables of a vehicle file into the firmware."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--vehicle", type=Path, default=VEHICLE_FILE)
     parser.add_argument("--out", type=Path, default=TABLE_FILE)

@@ -15,6 +15,7 @@ static const float estimate_speed_from = 5.0f; /* m/s */
 
 static const float speed_preview_time = 0.05f; /* s */
 static const float speed_preview_min = 1.0f;   /* m: a plan that starts at standstill sets the car in motion */
+static const float landing_speed = 1.5f;       /* m/s, below it a stop within the preview is one for here */
 static const float gradient_time = 0.3f;       /* s, over which the planned speed's gradient is taken */
 static const float gradient_min = 2.0f;        /* m */
 
@@ -102,9 +103,13 @@ static void speed_target(const control_input *in, float s, float speed, longitud
     path_at(in->plan, s, &here);
     path_at(in->plan, s + span, &beyond);
     path_at(in->plan, s + fmaxf(speed_preview_time * speed, speed_preview_min), &preview);
-    out->target_speed = preview.speed;
-    out->target_acceleration = (beyond.speed * beyond.speed - here.speed * here.speed) / (2.0f * span);
-    if (preview.speed >= max_speed) {
+    const bool landing = preview.speed <= 0.0f && speed < landing_speed;
+    out->target_speed = landing ? 0.0f : fmaxf(here.speed, preview.speed);
+    /* Over a span the rounding of the speeds does not count; before a stop only the place itself does. */
+    out->target_acceleration = beyond.speed > 0.0f
+                                   ? (beyond.speed * beyond.speed - here.speed * here.speed) / (2.0f * span)
+                                   : here.acceleration;
+    if (out->target_speed >= max_speed) {
         out->target_speed = max_speed;
         out->target_acceleration = fminf(out->target_acceleration, 0.0f);
     }

@@ -22,8 +22,8 @@ static const float throttle_rise = 1.5f;      /* 1/s */
 
 /* Standstill */
 static const float stand_speed = 0.3f;     /* m/s: below this with a reference of zero the car is held */
-static const float start_speed = 0.5f;     /* m/s: a target above this sets the car in motion */
-static const float soft_stop_slope = 1.5f; /* 1/s: deceleration allowed per speed in the last metre per second */
+static const float start_speed = 0.5f;     /* m/s: a target or a speed above this is motion, a lower target a stop */
+static const float soft_stop_slope = 2.0f; /* 1/s: deceleration allowed per speed at the end of a stop */
 static const float soft_stop_least = 0.6f; /* m/s2 */
 static const float hold_rise = 1.0e6f;     /* Pa/s */
 
@@ -34,7 +34,7 @@ static float advance_reference(longitudinal *self, const longitudinal_input *in)
 {
     const float up = in->max_acceleration * period;
     const float down = in->max_deceleration * period;
-    const float target = fmaxf(in->target_speed, 0.0f);
+    const float target = in->target_speed > start_speed ? in->target_speed : 0.0f;
     const float step = target - self->reference;
     const float low = fmaxf(in->speed - reference_lead_max, 0.0f);
     const float high = in->speed + reference_lead_max;
@@ -117,7 +117,7 @@ static bool apply(longitudinal *self, const longitudinal_input *in, float force)
 
 void longitudinal_step(longitudinal *self, const longitudinal_input *in, longitudinal_output *out)
 {
-    if (in->target_speed > start_speed) {
+    if (in->target_speed > start_speed || in->speed > start_speed) {
         self->moving = true;
     }
     const float planned = advance_reference(self, in);
@@ -133,7 +133,7 @@ void longitudinal_step(longitudinal *self, const longitudinal_input *in, longitu
 
     float acceleration =
         planned + proportional_gain * error + self->integral + derivative_gain * (planned - in->acceleration);
-    if (self->reference < stand_speed) {
+    if (in->target_speed <= start_speed) {
         acceleration = fmaxf(acceleration, -fmaxf(soft_stop_slope * in->speed, soft_stop_least));
     }
     const uint8_t gear = in->gear < CONTROLLER_GEARS ? in->gear : 0u;
