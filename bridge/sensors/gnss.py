@@ -103,6 +103,7 @@ class Gnss:
         errors = self._errors
         east, north, up, v_east, v_north, v_up, yaw = self._noise.next()
         cosine, sine = math.cos(truth.yaw), math.sin(truth.yaw)
+        across = truth.vy * math.cos(truth.roll)  # vy is in the road plane, which banks
         latitude, longitude, height = self._frame.geodetic(truth.x + east, truth.y + north, up)
         counter = self._counter
         self._counter = (counter + 1) & 0xFF
@@ -111,9 +112,9 @@ class Gnss:
             (
                 self._position.frame(latitude, longitude),
                 self._velocity.frame(
-                    truth.vx * cosine - truth.vy * sine + v_east,
-                    truth.vx * sine + truth.vy * cosine + v_north,
-                    v_up,
+                    truth.vx * cosine - across * sine + v_east,
+                    truth.vx * sine + across * cosine + v_north,
+                    truth.vy * math.sin(truth.roll) + v_up,
                     errors.velocity_white,
                     counter,
                 ),
