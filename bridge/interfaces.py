@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol
-
-if TYPE_CHECKING:
-    from typing_extensions import Buffer
+from typing import Protocol
 
 
 class Origin(Protocol):
@@ -56,7 +53,7 @@ class Road(Protocol):
 class Autonomy(Protocol):
     """The perception, planning and estimation partition: CAN frames in, CAN-A frames out, once per tick."""
 
-    def tick(self, now_us: int, frames: Buffer) -> bytes:
+    def tick(self, now_us: int, frames: bytes) -> bytes:
         """Run one minor frame.
 
         Parameters

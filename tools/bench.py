@@ -17,7 +17,6 @@ from autonomy.track_files import load_track
 from bridge.bench import TICK_US, Bench
 from bridge.interfaces import Autonomy, Road
 from bridge.scenario import Scenario, load_scenario
-from dbc.frames import Buffer
 from tools.plain_loop import PlainLoop
 from tools.run import DEFAULT_SCENARIO, build_bench, make_autonomy
 
@@ -83,7 +82,7 @@ class _ClockedAutonomy:
         self._autonomy = autonomy
         self.spent_s = 0.0
 
-    def tick(self, now_us: int, frames: Buffer) -> bytes:
+    def tick(self, now_us: int, frames: bytes) -> bytes:
         started = time.perf_counter()
         out = self._autonomy.tick(now_us, frames)
         self.spent_s += time.perf_counter() - started
