@@ -118,6 +118,8 @@ class GnssFilter:
         self._kalman.H = np.eye(_MEASUREMENTS, _STATES)
         self._transition = np.eye(_STATES)
         self._process = np.zeros((_STATES, _STATES))
+        self._noise = np.eye(_MEASUREMENTS)
+        self._noise_of: tuple[float, ...] = ()
         self._reset_clock()
         self.started = False
         self.position_deviation = math.inf
@@ -218,10 +220,12 @@ class GnssFilter:
                 [wrap_angle(gnss.yaw - self.yaw)],
             ]
         )
-        noise = np.diag([gnss.std_x**2, gnss.std_y**2, gnss.std_velocity**2, gnss.std_velocity**2, gnss.std_yaw**2])
+        deviations = (gnss.std_x, gnss.std_y, gnss.std_velocity, gnss.std_velocity, gnss.std_yaw)
+        if deviations != self._noise_of:  # a receiver reports the same ones most of the time
+            self._noise, self._noise_of = np.diag(np.square(deviations)), deviations
         kalman = self._kalman
         prior = kalman.P
-        kalman.update(innovation, R=noise)
+        kalman.update(innovation, R=self._noise)
         # The filter has inverted the innovation's covariance already; asking it first would cost that twice.
         self.distance = math.sqrt((kalman.y.T @ kalman.SI @ kalman.y).item())
         if not self.distance <= self._tuning.gate:
@@ -243,6 +247,11 @@ class GnssFilter:
         self.yaw_rate -= error[BIAS_R]
         self._note_deviation()
         return True
+
+    @property
+    def coasted(self) -> float:
+        """Time since the covariance was last carried on, s."""
+        return self._elapsed
 
     @property
     def covariance(self) -> FloatArray:

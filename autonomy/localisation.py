@@ -142,7 +142,8 @@ class Localiser:
     road : bank and grade (rad) at a position in the track frame.
     """
 
-    COVARIANCE_PERIOD_US = 50_000
+    # A filter that gets its epochs carries its covariance on with them; one that does not, this often.
+    COASTING_S = 0.05
 
     def __init__(
         self,
@@ -191,7 +192,7 @@ class Localiser:
                 receiver.take(now_us, gnss)
                 if before is not None and math.dist(before[:2], self._state()[:2]) > self._limits.jump:
                     self._keep(before)
-            elif now_us % self.COVARIANCE_PERIOD_US == 0 and receiver.filter.started:
+            elif receiver.filter.coasted > self.COASTING_S:
                 receiver.filter.propagate_covariance()
             receiver.judge(now_us)
         self._fade(dt)

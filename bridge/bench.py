@@ -113,8 +113,8 @@ class Bench:
         self._taps = Taps(taps) if taps else None
         self._recorder: Recorder | None = None
         misc, report = database.message("misc_report"), database.message("ct_report")
-        self._misc_watch = self.network.watch(misc.bus, misc.frame_id)
-        self._report_watch = self.network.watch(report.bus, report.frame_id)
+        self._misc_data = ffi.buffer(self.network.watch(misc.bus, misc.frame_id).frame.data)
+        self._report_data = ffi.buffer(self.network.watch(report.bus, report.frame_id).frame.data)
         self._decode_sys, self._sys_place = misc.decode, misc.signals.index("sys_state")
         self._decode_ct, self._ct_place = report.decode, report.signals.index("ct_state")
         self._observe()
@@ -300,8 +300,8 @@ class Bench:
         self.laps.update(self.now_us, self.station)
         self.situation = Situation(
             time_us=self.now_us,
-            sys_state=int(self._decode_sys(bytes(self._misc_watch.frame.data))[self._sys_place]),
-            ct_state=int(self._decode_ct(bytes(self._report_watch.frame.data))[self._ct_place]),
+            sys_state=int(self._decode_sys(self._misc_data)[self._sys_place]),
+            ct_state=int(self._decode_ct(self._report_data)[self._ct_place]),
             distance_m=self.truth.distance,
             laps=self.laps.count,
             standstill=abs(self.truth.vx) < STANDSTILL_SPEED,

@@ -121,7 +121,9 @@ class Network:
         To be called between ticks, often enough for `log_half_full` to stay false.
         """
         log = self.log_view()
-        ordered: NDArray[np.void] = log[np.argsort(log["time_us"], kind="stable")]
+        # Rows of three words move several times as fast as records.
+        words = log.view(np.uint64).reshape(-1, FRAME_SIZE // 8)
+        ordered: NDArray[np.void] = words[np.argsort(log["time_us"], kind="stable")].reshape(-1).view(FRAME_DTYPE)
         self.handle.log_count = 0
         return ordered
 

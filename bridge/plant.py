@@ -12,6 +12,7 @@ import zipfile
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -57,6 +58,25 @@ _NUMBERS: Mapping[str, Any] = {
 }
 
 
+#: Worst status with which a result may be used.
+_WARNING = 1
+
+
+def _checked(fmu: Any, name: str, *arguments: Any) -> Callable[..., None]:
+    """A call of the FMU that raises FMICallException when its status is worse than a warning.
+
+    fmpy's own wrapper does the same, and looks up and logs each call besides, which costs more than the call.
+    """
+    call = partial(getattr(fmu.dll, name), *arguments)
+
+    def checked(*more: Any) -> None:
+        status = call(*more)
+        if status > _WARNING:
+            raise FMICallException(function=name, status=status)
+
+    return checked
+
+
 class _Group:
     """Variables of one FMI type that are set or got in one call, and their places in the array of all."""
 
@@ -65,21 +85,21 @@ class _Group:
     ) -> None:
         is_fmi2 = isinstance(fmu, fmi2.FMU2Slave)
         number = _NUMBERS[fmi_type] or (ctypes.c_int if is_fmi2 else ctypes.c_bool)
-        self._function: Callable[..., int] = getattr(fmu, f"fmi{2 if is_fmi2 else 3}{call}{fmi_type}")
         references = (ctypes.c_uint * len(variables))(*(variable.valueReference for variable in variables))
         buffer = (number * len(variables))()
         count = len(variables)
-        self._arguments = (fmu.component, references, count, buffer, *(() if is_fmi2 else (count,)))
+        name = f"fmi{2 if is_fmi2 else 3}{call}{fmi_type}"
+        self._call = _checked(fmu, name, fmu.component, references, count, buffer, *(() if is_fmi2 else (count,)))
         self._values: NDArray[Any] = np.ctypeslib.as_array(buffer)
         contiguous = places == list(range(places[0], places[0] + len(places)))
         self._places: Any = slice(places[0], places[0] + len(places)) if contiguous else np.array(places)
 
     def set_from(self, values: NDArray[np.float64]) -> None:
         self._values[:] = values[self._places]
-        self._function(*self._arguments)
+        self._call()
 
     def get_into(self, values: NDArray[np.float64]) -> None:
-        self._function(*self._arguments)
+        self._call()
         values[self._places] = self._values
 
 
@@ -226,19 +246,19 @@ class Plant:
     def _make_step(self) -> Callable[[float, float], None]:
         component = self._fmu.component
         if not self._fmi3:
-            step2 = self._fmu.fmi2DoStep
+            step2 = _checked(self._fmu, "fmi2DoStep", component)
 
             def do_step_fmi2(time_s: float, step_s: float) -> None:
-                step2(component, time_s, step_s, 1)
+                step2(time_s, step_s, 1)
 
             return do_step_fmi2
-        step3 = self._fmu.fmi3DoStep
+        step3 = _checked(self._fmu, "fmi3DoStep", component)
         event, terminate, early = ctypes.c_bool(), ctypes.c_bool(), ctypes.c_bool()
         last = ctypes.c_double()
         results = tuple(ctypes.byref(value) for value in (event, terminate, early, last))
 
         def do_step_fmi3(time_s: float, step_s: float) -> None:
-            step3(component, time_s, step_s, True, *results)
+            step3(time_s, step_s, True, *results)
             if terminate.value:
                 raise PlantError(f"{self._path}: the FMU ended the simulation at {last.value:.2f} s")
 

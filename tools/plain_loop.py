@@ -227,7 +227,7 @@ class PlainLoop:
                 can.Message(
                     arbitration_id=identifier,
                     is_extended_id=message.is_extended_frame,
-                    data=message.encode(values, strict=False),
+                    data=message.encode(values, strict=False),  # the public ranges are wrong in places
                     timestamp=self.now_us * 1e-6,
                 )
             )
@@ -242,7 +242,7 @@ class PlainLoop:
                 continue
             for message in _pending(interface):
                 identifier, data = message.arbitration_id, bytes(message.data)
-                values = self._databases[bus].decode_message(identifier, data, decode_choices=False)
+                values = self._databases[bus].decode_message(identifier, data)
                 self._notice(bus, values)
                 frames += FRAME_STRUCT.pack(self.now_us, identifier, bus, len(data), 0, 0, data.ljust(8, b"\0"))
         return bytes(frames)
@@ -252,7 +252,8 @@ class PlainLoop:
         if bus is Bus.CAN1:
             for state in self._states:
                 if state in values:
-                    self._states[state] = int(values[state])
+                    value = values[state]  # with its name, where the value table has one
+                    self._states[state] = int(getattr(value, "value", value))
 
     def _observe(self) -> None:
         self.truth = self._truth_reader.read(self.plant.outputs.tolist())
