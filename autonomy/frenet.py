@@ -144,13 +144,12 @@ class Projector:
         -------
         s in [0, length), m; d, m, positive to the left.
         """
-        i = self._walk(self._index, x, y) if self._index >= 0 else -1
-        if i < 0:
+        found = self._walk(self._index, x, y) if self._index >= 0 else None
+        if found is None:
             i = self._nearest(x, y)
+            found = i, *self._beside(i, x, y)
+        i, along, across = found
         self._index = i
-        dx, dy = x - self._x[i], y - self._y[i]
-        along = dx * self._cos[i] + dy * self._sin[i]
-        across = dy * self._cos[i] - dx * self._sin[i]
         # Exact on the osculating circle of the node, and on a straight.
         curvature = self._curvature[i]
         shrink = 1.0 - curvature * across
@@ -161,19 +160,22 @@ class Projector:
             step, lateral = along, across
         return (i * self._spacing + step) % self._length, lateral
 
-    def _walk(self, i: int, x: float, y: float) -> int:
-        """Node whose normal passes the point, from node i on; -1 when the point is not near it."""
+    def _beside(self, i: int, x: float, y: float) -> tuple[float, float]:
+        """Point in the axes of a node: along and across it, m."""
+        dx, dy, cos, sin = x - self._x[i], y - self._y[i], self._cos[i], self._sin[i]
+        return dx * cos + dy * sin, dy * cos - dx * sin
+
+    def _walk(self, i: int, x: float, y: float) -> tuple[int, float, float] | None:
+        """Node whose normal passes the point, from node i on, and the point in its axes; None when it is not near."""
         for _ in range(self._STRIDES):
-            dx, dy = x - self._x[i], y - self._y[i]
-            along = dx * self._cos[i] + dy * self._sin[i]
-            across = dy * self._cos[i] - dx * self._sin[i]
+            along, across = self._beside(i, x, y)
             if abs(across) > self._NEIGHBOURHOOD:
-                return -1
+                return None
             nodes = round(along / (self._spacing * max(1.0 - self._curvature[i] * across, 0.5)))
             if nodes == 0:
-                return i
+                return i, along, across
             i = (i + max(-20, min(20, nodes))) % self._count
-        return -1
+        return None
 
     def _nearest(self, x: float, y: float) -> int:
         return int(np.argmin((self._nodes[:, 0] - x) ** 2 + (self._nodes[:, 1] - y) ** 2))

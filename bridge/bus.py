@@ -9,16 +9,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bridge._native import ffi, lib
 from dbc.frames import FRAME_DTYPE, FRAME_SIZE, Bus, Station
-
-if TYPE_CHECKING:
-    from typing_extensions import Buffer
 
 #: Bit rate of each bus in bit/s, as the DBC files state it (a contract test compares).
 BIT_RATES: Mapping[Bus, int] = MappingProxyType(
@@ -76,7 +73,7 @@ class Network:
         """End the tick: what is still pending waits for the next one."""
         lib.network_end_slot(self.handle)
 
-    def submit(self, station: Station, frames: Buffer) -> None:
+    def submit(self, station: Station, frames: bytes) -> None:
         """Queue frames of a station on the buses that they name.
 
         Parameters
@@ -88,10 +85,12 @@ class Network:
         ValueError
             When the buffer does not hold whole frames.
         """
-        view = ffi.from_buffer("can_frame[]", frames)
-        if ffi.sizeof(view) != memoryview(frames).nbytes:
-            raise ValueError(f"{memoryview(frames).nbytes} bytes are not whole frames of {FRAME_SIZE}")
-        lib.network_submit(self.handle, station, view, len(view))
+        if not frames:
+            return
+        count, rest = divmod(len(frames), FRAME_SIZE)
+        if rest:
+            raise ValueError(f"{len(frames)} bytes are not whole frames of {FRAME_SIZE}")
+        lib.network_submit(self.handle, station, ffi.from_buffer("can_frame[]", frames), count)
 
     def transmit(self, *buses: Bus) -> None:
         """Send what is pending on these buses into the inboxes of their stations, by arbitration."""
