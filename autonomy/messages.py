@@ -11,7 +11,8 @@ from autonomy.geodesy import LocalTangentPlane
 from autonomy.localisation import Estimate
 from autonomy.planning import Plan
 from autonomy.status import NodeId, NodeStatus, SsmStatus, VehicleStatus
-from dbc.codec import database
+from dbc.codec import MessageCodec, database
+from dbc.errors import CodecError
 from dbc.frames import FRAME_SIZE, FRAME_STRUCT, Buffer
 
 MPH = 0.44704  # m/s
@@ -169,19 +170,11 @@ class EstimateWriter:
         """Frames of one estimate; values beyond what the wire carries saturate."""
         e = estimate
         self._counter = (self._counter + 1) & 0xFF
+        quality = (e.ax, e.ay, e.source, e.quality, e.distance_a, e.distance_b, e.deviation, self._counter)
         return (
-            self._position.frame(_clip(e.x, 67000.0), _clip(e.y, 67000.0), self._counter)
-            + self._motion.frame(_clip(e.vx, 163.0), _clip(e.vy, 163.0), e.yaw, _clip(e.yaw_rate, 6.5))
-            + self._quality.frame(
-                _clip(e.ax, 102.0),
-                _clip(e.ay, 102.0),
-                e.source,
-                e.quality,
-                min(e.distance_a, 51.15),
-                min(e.distance_b, 51.15),
-                min(e.deviation, 2.55),
-                self._counter,
-            )
+            _saturated(self._position, (e.x, e.y, self._counter))
+            + _saturated(self._motion, (e.vx, e.vy, e.yaw, e.yaw_rate))
+            + _saturated(self._quality, quality)
         )
 
 
@@ -231,5 +224,10 @@ class NodeWriter:
         return self._message.frame(self._node, status, 100.0 * reliability, self.heartbeat & 0xFFFF, 0)
 
 
-def _clip(value: float, limit: float) -> float:
-    return max(-limit, min(limit, value))
+def _saturated(message: MessageCodec, values: tuple[float, ...]) -> bytes:
+    """Frame of values that may lie beyond what the message carries; that is rare, so only then they are clipped."""
+    try:
+        return message.frame(*values)
+    except CodecError:
+        limits = (message.limits(signal) for signal in message.signals)
+        return message.frame(*(max(low, min(high, value)) for value, (low, high) in zip(values, limits, strict=True)))

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.ndimage import minimum_filter1d, uniform_filter1d
 
 from autonomy.frenet import Curve, FloatArray, Projector
 from autonomy.raceline import lateral_offsets, minimum_curvature_path
@@ -47,6 +48,7 @@ class PathSettings:
     clearance : of the centre of gravity from the boundaries, m.
     blend_length : of the way on to the race line, m.
     lead_in : length of the path behind the car where a blend begins, m.
+    easing : distance over which the corners of the speed profile are rounded off, m.
     limits : of the speed profile, below which every plan stays. Half of the grip is left to control: it keeps the
         side slip in turns, and with it the heading's distance from the path's, near 0.02 rad.
     """
@@ -54,6 +56,7 @@ class PathSettings:
     clearance: float = 2.2
     blend_length: float = 200.0
     lead_in: float = 20.0
+    easing: float = 60.0
     limits: ProfileLimits = field(
         default_factory=lambda: ProfileLimits(max_speed=90.0, max_deceleration=6.0, friction_margin=0.5)
     )
@@ -86,8 +89,9 @@ class RacePath:
             yaw=_wrapped(self.curve.heading),
             curvature=self.curve.curvature,
             bank=bank,
-            speed_limit=closed_profile(
-                PathShape(self.spacing, self.curve.curvature, bank), vehicle, self._settings.limits
+            speed_limit=_eased(
+                closed_profile(PathShape(self.spacing, self.curve.curvature, bank), vehicle, self._settings.limits),
+                round(self._settings.easing / self.spacing),
             ),
             track_station=stations,
         )
@@ -147,6 +151,12 @@ class RacePath:
             corner_speeds(PathShape(self.spacing, bent, self.race.bank[nodes]), self._vehicle, settings.limits),
         )
         return path, length
+
+
+def _eased(speed: FloatArray, nodes: int) -> FloatArray:
+    """Closed speed profile without corners, nowhere above the given one: the mean of the minimum around each node."""
+    lowest = minimum_filter1d(speed, 2 * (nodes // 2) + 1, mode="wrap")
+    return np.asarray(uniform_filter1d(lowest, 2 * (nodes // 2) + 1, mode="wrap"))
 
 
 def _quintic(

@@ -13,6 +13,7 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
+from itertools import groupby
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -77,30 +78,39 @@ def _checked(fmu: Any, name: str, *arguments: Any) -> Callable[..., None]:
     return checked
 
 
-class _Group:
-    """Variables of one FMI type that are set or got in one call, and their places in the array of all."""
+class _Run:
+    """Variables of one FMI type side by side in an array of doubles, set or got in one call.
+
+    Doubles go straight from and to the array; other types by way of a buffer of theirs.
+    """
 
     def __init__(
-        self, fmu: Any, call: str, fmi_type: str, variables: Sequence[ModelVariable], places: list[int]
+        self, fmu: Any, call: str, variables: Sequence[ModelVariable], values: NDArray[np.float64], place: int
     ) -> None:
         is_fmi2 = isinstance(fmu, fmi2.FMU2Slave)
+        fmi_type, count = variables[0].type, len(variables)
         number = _NUMBERS[fmi_type] or (ctypes.c_int if is_fmi2 else ctypes.c_bool)
-        references = (ctypes.c_uint * len(variables))(*(variable.valueReference for variable in variables))
-        buffer = (number * len(variables))()
-        count = len(variables)
+        references = (ctypes.c_uint * count)(*(variable.valueReference for variable in variables))
+        self._array = values[place : place + count]
+        self._buffer: NDArray[Any] | None = None
+        passed: Any
+        if number is ctypes.c_double:
+            passed = self._array.ctypes.data_as(ctypes.POINTER(number))
+        else:
+            passed = (number * count)()
+            self._buffer = np.ctypeslib.as_array(passed)
         name = f"fmi{2 if is_fmi2 else 3}{call}{fmi_type}"
-        self._call = _checked(fmu, name, fmu.component, references, count, buffer, *(() if is_fmi2 else (count,)))
-        self._values: NDArray[Any] = np.ctypeslib.as_array(buffer)
-        contiguous = places == list(range(places[0], places[0] + len(places)))
-        self._places: Any = slice(places[0], places[0] + len(places)) if contiguous else np.array(places)
+        self._call = _checked(fmu, name, fmu.component, references, count, passed, *(() if is_fmi2 else (count,)))
 
-    def set_from(self, values: NDArray[np.float64]) -> None:
-        self._values[:] = values[self._places]
+    def set(self) -> None:
+        if self._buffer is not None:
+            self._buffer[:] = self._array
         self._call()
 
-    def get_into(self, values: NDArray[np.float64]) -> None:
+    def get(self) -> None:
         self._call()
-        values[self._places] = self._values
+        if self._buffer is not None:
+            self._array[:] = self._buffer
 
 
 class Plant:
@@ -152,13 +162,15 @@ class Plant:
         try:
             self._fmu = self._load(description)
             self._do_step = self._make_step()
-            for group in self._groups("Set", [variable for variable, _ in starts]):
-                group.set_from(np.array([value for _, value in starts]))
+            for run in self._runs(
+                "Set", [variable for variable, _ in starts], np.array([value for _, value in starts])
+            ):
+                run.set()
             self._initialise()
-            self._setters = self._groups("Set", inputs)
-            self._getters = self._groups("Get", outputs)
-            for group in self._getters:
-                group.get_into(self.outputs)
+            self._setters = self._runs("Set", inputs, self.inputs)
+            self._getters = self._runs("Get", outputs, self.outputs)
+            for run in self._getters:
+                run.get()
         except FMICallException as error:
             self._discard()
             raise self._failed("cannot be initialised", error) from error
@@ -186,11 +198,11 @@ class Plant:
             When the FMU reports an error, with its last message.
         """
         try:
-            for group in self._setters:
-                group.set_from(self.inputs)
+            for run in self._setters:
+                run.set()
             self._do_step(time_s, step_s)
-            for group in self._getters:
-                group.get_into(self.outputs)
+            for run in self._getters:
+                run.get()
         except FMICallException as error:
             raise self._failed(f"failed at {time_s:.2f} s", error) from error
 
@@ -264,14 +276,13 @@ class Plant:
 
         return do_step_fmi3
 
-    def _groups(self, call: str, variables: Sequence[ModelVariable]) -> list[_Group]:
-        groups: dict[str, list[int]] = {}
-        for place, variable in enumerate(variables):
-            groups.setdefault(variable.type, []).append(place)
-        return [
-            _Group(self._fmu, call, fmi_type, [variables[place] for place in places], places)
-            for fmi_type, places in groups.items()
-        ]
+    def _runs(self, call: str, variables: Sequence[ModelVariable], values: NDArray[np.float64]) -> list[_Run]:
+        runs, place = [], 0
+        for _, same in groupby(variables, key=lambda variable: str(variable.type)):
+            members = list(same)
+            runs.append(_Run(self._fmu, call, members, values, place))
+            place += len(members)
+        return runs
 
     def _log_fmi2(self, _environment: Any, _name: bytes, _status: int, _category: bytes, message: bytes) -> None:
         self._messages.append(message.decode("utf-8", "replace"))
