@@ -165,7 +165,13 @@ class Planner:
 
     def _use(self, path: Path) -> None:
         self._path = path
-        self._limit: list[float] = path.speed_limit.tolist()
+        self._limit_cap = math.nan  # what _limit was made for: nothing yet
+
+    def _limit_below(self, max_speed: float) -> list[float]:
+        if max_speed != self._limit_cap:
+            self._limit: list[float] = self._race_path.limit_below(self._path, max_speed).tolist()
+            self._limit_cap = max_speed
+        return self._limit
 
     def _follow_path(self, estimate: Estimate, station: float, mission: Mission) -> None:
         """Lay the way on to the race line where the car stands, once, and leave it behind at its end."""
@@ -234,14 +240,14 @@ class Planner:
         count, spacing = self._race_path.count, self._race_path.spacing
         distance = step * spacing
         jerk, deceleration = self._settings.jerk, self._deceleration(ssm)
-        limit, drive, stop = self._limit, self._drive, self._stop_node
+        limit, drive, stop = self._limit_below(max_speed), self._drive, self._stop_node
         speeds, accelerations = [speed], [acceleration]
         for i in range(1, POINTS):
             node = (first + i * step) % count
             if speed < max_speed:
                 most = min(ssm.max_acceleration, drive[min(int(speed / self._TABLE_STEP), len(drive) - 1)])
                 # No more than the jerk can take back before the speed is reached.
-                wish = min(most, math.sqrt(2.0 * jerk * (max_speed - speed)))
+                wish = min(most, math.sqrt(2.0 * jerk * max(0.0, min(max_speed, limit[node]) - speed)))
             else:
                 wish = -min(deceleration, math.sqrt(2.0 * jerk * (speed - max_speed)))
             stopped = False

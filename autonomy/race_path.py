@@ -48,8 +48,8 @@ class PathSettings:
     clearance : of the centre of gravity from the boundaries, m.
     blend_length : of the way on to the race line, m.
     lead_in : length of the path behind the car where a blend begins, m.
-    easing : distance over which the corners of the speed profile are rounded off, m.
-    limits : of the speed profile, below which every plan stays. Half of the grip is left to control: it keeps the
+    easing : distance over which a plan's change from its speed cap to a slower turn is spread, m.
+    limits : of the speed profile, below which every plan stays. Half of the grip is left to control, which keeps the
         side slip in turns, and with it the heading's distance from the path's, near 0.02 rad.
     """
 
@@ -58,7 +58,7 @@ class PathSettings:
     lead_in: float = 20.0
     easing: float = 60.0
     limits: ProfileLimits = field(
-        default_factory=lambda: ProfileLimits(max_speed=90.0, max_deceleration=6.0, friction_margin=0.5)
+        default_factory=lambda: ProfileLimits(max_speed=90.0, max_deceleration=6.0, friction_margin=0.48)
     )
 
 
@@ -89,12 +89,22 @@ class RacePath:
             yaw=_wrapped(self.curve.heading),
             curvature=self.curve.curvature,
             bank=bank,
-            speed_limit=_eased(
-                closed_profile(PathShape(self.spacing, self.curve.curvature, bank), vehicle, self._settings.limits),
-                round(self._settings.easing / self.spacing),
+            speed_limit=closed_profile(
+                PathShape(self.spacing, self.curve.curvature, bank), vehicle, self._settings.limits
             ),
             track_station=stations,
         )
+
+    def limit_below(self, path: Path, max_speed: float) -> FloatArray:
+        """Speed limit of a path for a car that drives no faster than a cap, shape (n,), m/s.
+
+        Where turns ask for less than the cap, the limit leaves it and comes back to it without a corner, nowhere
+        above the path's own; elsewhere it is the path's, so that a lowered cap is braked for in comfort.
+        """
+        nodes = 2 * (round(self._settings.easing / self.spacing) // 2) + 1
+        lowest = minimum_filter1d(np.minimum(path.speed_limit, max_speed), nodes, mode="wrap")
+        eased = uniform_filter1d(lowest, nodes, mode="wrap")
+        return np.where(eased < max_speed - 1.0e-6, eased, path.speed_limit)
 
     def project(self, x: float, y: float) -> tuple[float, float]:
         """Station on the race line, [0, length), and offset to its left, m."""
@@ -151,12 +161,6 @@ class RacePath:
             corner_speeds(PathShape(self.spacing, bent, self.race.bank[nodes]), self._vehicle, settings.limits),
         )
         return path, length
-
-
-def _eased(speed: FloatArray, nodes: int) -> FloatArray:
-    """Closed speed profile without corners, nowhere above the given one: the mean of the minimum around each node."""
-    lowest = minimum_filter1d(speed, 2 * (nodes // 2) + 1, mode="wrap")
-    return np.asarray(uniform_filter1d(lowest, 2 * (nodes // 2) + 1, mode="wrap"))
 
 
 def _quintic(
