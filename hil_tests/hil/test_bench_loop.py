@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 from dataclasses import replace
 from pathlib import Path
@@ -167,3 +168,13 @@ def test_a_bench_that_is_left_leaves_no_recording(scenario: Scenario, tmp_path: 
     with build_bench(scenario, tmp_path / "out") as bench:
         ticks(bench, 20)
     assert list((tmp_path / "out").iterdir()) == []
+
+
+def test_the_loop_leaves_nothing_for_the_garbage_collector(scenario: Scenario):
+    """It runs with the collector paused: that is sound only while it makes no reference cycles."""
+    with build_bench(scenario) as bench:
+        bench.run(until=Condition(time_us=8_000_000))
+        gc.collect()
+        bench.run(until=Condition(time_us=12_000_000))
+        assert gc.collect() == 0
+        assert gc.isenabled()
