@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeAlias
@@ -19,7 +19,6 @@ from dbc.codec import database
 from dbc.errors import ConfigurationError
 from firmware.tables import ParameterSchema, load_parameters, parameter_key
 
-Scalar: TypeAlias = "float | int | bool | str | None"
 Tick: TypeAlias = Callable[[bytes], Iterable[tuple[int, bytes]]]
 
 TYPE_FLOAT, TYPE_INT, TYPE_BOOL, TYPE_TEXT, TYPE_NULL = range(5)
@@ -68,28 +67,18 @@ class Verdict:
     offences: tuple[Offence, ...]
 
 
-class _Loader(yaml.SafeLoader):
-    """YAML that refuses a key given twice instead of keeping the last one."""
+def load_operation(path: str | Path) -> list[tuple[str, object]]:
+    """Read an operation file: one mapping from parameter names to values.
 
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[object, object]:
-        seen: set[object] = set()
-        for key_node, _ in node.value:
-            key: object = self.construct_object(key_node, deep=True)
-            if not isinstance(key, str):
-                raise yaml.constructor.ConstructorError(None, None, "a key must be text", key_node.start_mark)
-            if key in seen:
-                raise yaml.constructor.ConstructorError(None, None, f"{key} is given twice", key_node.start_mark)
-            seen.add(key)
-        return super().construct_mapping(node, deep)
-
-
-def load_operation(path: str | Path) -> dict[str, Scalar]:
-    """Read an operation file: one mapping from parameter names to numbers, true or false.
+    Returns
+    -------
+    list of name and value in the file's order. A name given twice is there twice, and a value may be of any type: what
+    is allowed is for the firmware to say.
 
     Raises
     ------
     ConfigurationError
-        When the file cannot be read, is no YAML, is no mapping, gives a key twice or nests; names the line.
+        When the file cannot be read, is no YAML or is no mapping with text as keys; names the line.
     """
     try:
         text = Path(path).read_text(encoding="utf-8")
@@ -97,19 +86,25 @@ def load_operation(path: str | Path) -> dict[str, Scalar]:
         reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
         raise ConfigurationError(path, "", f"cannot be read: {reason}") from error
     try:
-        content = yaml.load(text, Loader=_Loader)
+        return list(_entries(path, yaml.SafeLoader(text)))
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         problem = getattr(error, "problem", None) or " ".join(str(error).split())
         raise ConfigurationError(path, f"line {mark.line + 1}" if mark else "", problem) from error
     except (ValueError, RecursionError) as error:
         raise ConfigurationError(path, "", f"is no YAML that can be read: {error}") from error
-    if not isinstance(content, dict):
+
+
+def _entries(path: str | Path, loader: yaml.SafeLoader) -> Iterator[tuple[str, object]]:
+    """Key and value pairs of the one mapping in a document; plain loading would keep only the last of a key."""
+    root = loader.get_single_node()
+    if not isinstance(root, yaml.MappingNode):
         raise ConfigurationError(path, "line 1", "an operation file is a mapping from parameter names to values")
-    for key, value in content.items():
-        if not isinstance(value, float | int | str | None):
-            raise ConfigurationError(path, key, "the value must be a single number, true or false")
-    return content
+    for key_node, value_node in root.value:
+        key = loader.construct_object(key_node, deep=True)
+        if not isinstance(key, str):
+            raise yaml.constructor.ConstructorError(None, None, "a key must be text", key_node.start_mark)
+        yield key, loader.construct_object(value_node, deep=True)
 
 
 def parameter_frames(path: str | Path) -> bytes:
@@ -127,18 +122,21 @@ def parameter_frames(path: str | Path) -> bytes:
     return b"".join(encode_operation(load_operation(path), load_parameters()))
 
 
-def encode_operation(operation: Mapping[str, Scalar], schema: ParameterSchema) -> list[bytes]:
-    """Encode parameter values as frames of 24 bytes, in the mapping's order, parameter_commit last."""
+def encode_operation(operation: Iterable[tuple[str, object]], schema: ParameterSchema) -> list[bytes]:
+    """Encode names and values of parameters as frames of 24 bytes, in their order, parameter_commit last."""
     write, commit = database.message("parameter_write"), database.message("parameter_commit")
-    frames = [write.frame(parameter_key(key), *_wire_value(value)) for key, value in operation.items()]
+    frames = [write.frame(parameter_key(key), *_wire_value(value)) for key, value in operation]
     return [*frames, commit.frame(len(frames), schema.hash)]
 
 
-def _wire_value(value: Scalar) -> tuple[int, int]:
-    """Type and raw bits of a value; what 32 bits cannot hold as an integer travels as a float."""
+def _wire_value(value: object) -> tuple[int, int]:
+    """Type and raw bits of a value; what 32 bits cannot hold as an integer travels as a float.
+
+    Lists, mappings and dates travel as text: no parameter is any of them.
+    """
     if value is None:
         return TYPE_NULL, 0
-    if isinstance(value, str):
+    if not isinstance(value, float | int):
         return TYPE_TEXT, 0
     if isinstance(value, bool):
         return TYPE_BOOL, int(value)
@@ -151,12 +149,12 @@ def _wire_value(value: Scalar) -> tuple[int, int]:
     return TYPE_FLOAT, int.from_bytes(packed, "little")
 
 
-def check_operation(operation: Mapping[str, Scalar], tick: Tick) -> Verdict:
+def check_operation(operation: Sequence[tuple[str, object]], tick: Tick) -> Verdict:
     """Have the firmware validate an operation.
 
     Parameters
     ----------
-    operation : parameter values by name.
+    operation : names and values of parameters.
     tick : runs one 10 ms tick of a fresh onboard computer with the CAN-A frames given (concatenated 24-byte frames) and
         returns what it sent on CAN-A as (id, 8 data bytes).
 
@@ -189,16 +187,19 @@ def _batches(frames: list[bytes]) -> Iterator[bytes]:
 
 
 def decode_results(
-    results: Iterable[tuple[int, int, int]], operation: Mapping[str, Scalar], schema: ParameterSchema
+    results: Iterable[tuple[int, int, int]], operation: Iterable[tuple[str, object]], schema: ParameterSchema
 ) -> Iterator[Offence]:
     """Turn (key, status, value) of parameter_result frames into offences, leaving out what was accepted."""
-    names = {parameter_key(name): name for name in operation}
+    values: dict[str, list[object]] = {}
+    for name, value_given in operation:
+        values.setdefault(name, []).append(value_given)
+    names = {parameter_key(name): name for name in values}
     known = {parameter.key: parameter for parameter in schema.parameters}
     for key, status, value in results:
         if status == ACCEPTED:
             continue
         name = names.get(key) or (known[key].name if key in known else "")
-        given = repr(operation[name]) if name in operation else "not given"
+        given = ", ".join(repr(item) for item in values[name]) if name in values else "not given"
         if status in (_COUNT_MISMATCH, _SCHEMA_MISMATCH):
             yield Offence("(all parameters)", f"{value:#x}", "one build of sender and firmware", _REASONS[status])
             continue

@@ -91,8 +91,8 @@ class ObcHarness:
 
     def configure(self, operation: dict[str, object] | None = None) -> None:
         """Queue an operation file's frames for the next tick."""
-        values = load_operation(OPERATION) if operation is None else operation
-        self.extra.extend(encode_operation(values, load_parameters()))
+        values = dict(load_operation(OPERATION)) if operation is None else operation
+        self.extra.extend(encode_operation(values.items(), load_parameters()))
 
     def plan(self) -> list[bytes]:
         """A straight path of 20 points, 5 m apart, ahead of the origin along x."""

@@ -15,7 +15,7 @@ from dbc.frames import iterate
 from firmware.parameters import load_operation
 from firmware.tables import load_parameters, parameter_key
 
-GOOD = load_operation(OPERATION)
+GOOD = dict(load_operation(OPERATION))
 RESULT = database.message("parameter_result")
 
 

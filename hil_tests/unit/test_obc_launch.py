@@ -144,7 +144,7 @@ def test_flags_are_acknowledged() -> None:
     harness.run(20)
     assert harness.value("ct_report", "track_cond_ack") == 4
     assert harness.value("ct_report", "veh_sig_ack") == 5
-    assert harness.value("ct_report", "veh_num") == load_operation(OPERATION)["vehicle_number"]
+    assert harness.value("ct_report", "veh_num") == dict(load_operation(OPERATION))["vehicle_number"]
     assert harness.received["ct_report_2"] == (9, 25, 37)
 
 

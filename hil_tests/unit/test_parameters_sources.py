@@ -75,7 +75,7 @@ def test_generator_without_a_task_is_refused() -> None:
 def test_shipped_operations_fit_the_json_schema(path: Path) -> None:
     schema = json.loads((PARAMETERS_FILE.parent / "operation.schema.json").read_text())
     jsonschema.Draft202012Validator.check_schema(schema)
-    operation = load_operation(path)
+    operation = dict(load_operation(path))
     jsonschema.validate(operation, schema)
     for change in ({"no_such_key": 1}, {"max_speed": "fast"}, {"max_speed": -1.0}, {"imu_timeout": 50.5}):
         with pytest.raises(jsonschema.ValidationError):
