@@ -20,6 +20,7 @@ void wiring_sense(const double *outputs, raptor_wired_in *raptor_in, space_drive
         raptor_in->wheel_load[wheel] = (float)outputs[PLANT_OUT_WHEEL_LOAD_FL + wheel];
         raptor_in->suspension_travel[wheel] = (float)(outputs[PLANT_OUT_WHEEL_LOAD_FL + wheel] / SPRING_RATE);
         raptor_in->tyre_temperature[wheel] = (float)outputs[PLANT_OUT_TYRE_TEMPERATURE_FL + wheel];
+        raptor_in->tyre_pressure[wheel] = (float)outputs[PLANT_OUT_TYRE_PRESSURE_FL + wheel];
     }
     raptor_in->engine_speed = (float)outputs[PLANT_OUT_ENGINE_SPEED];
     raptor_in->throttle_position = (float)outputs[PLANT_OUT_THROTTLE_POSITION];

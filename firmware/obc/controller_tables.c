@@ -1,5 +1,5 @@
 /* Written by autonomy/controller_design.py from av21.yaml. Do not edit.
- * Vehicle file SHA-256: 5dbb493d303430c010283468b0fcfbd094f57132aca44ac199fdf30efff3821d */
+ * Vehicle file SHA-256: 82c56c6da256d97879ad0209b5e18db4c69d16b5a70271a18d3418eeee8e53f8 */
 #include "obc/controller_tables.h"
 
 /* clang-format off */

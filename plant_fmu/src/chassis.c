@@ -145,6 +145,7 @@ void chassis_step(struct chassis_state *state, struct energy_account *energy, co
     const double s = sin(heading);
     state->x += forward * c - left * s;
     state->y += forward * s + left * c;
+    state->z += dt * vx_mid * road->sin_grade;
     state->yaw += yaw_step;
     if (state->yaw > PLANT_PI) {
         state->yaw -= 2.0 * PLANT_PI;

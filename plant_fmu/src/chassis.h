@@ -7,6 +7,7 @@
 struct chassis_state {
     double x; /**< plan, m */
     double y;
+    double z;   /**< gained on the grade, m */
     double yaw; /**< plan heading, rad, (-pi, pi] */
     double vx;  /**< in the road plane, m/s */
     double vy;

@@ -12,6 +12,9 @@ static const double overspeed_factor = 1.03;
  * of sticking elements is coupled, so a few are enough; the count is fixed for a fixed run time. */
 #define SWEEPS 4
 
+/* An engine this near to the speed of its gear is in step with it. */
+static const double match_tolerance = 3.0; /* rad/s */
+
 double driveline_ratio(const struct plant_vars *p, int32_t gear)
 {
     const double ratio[] = {
@@ -26,6 +29,7 @@ void driveline_start(struct driveline_state *state, int32_t gear)
     state->status = SHIFT_UNINITIALISED;
     state->shift_left = 0.0;
     state->clutch_ramp = 1.0;
+    state->matching = 0;
     state->engagement = 0.0;
     state->clutch_torque = 0.0;
     state->wheel_torque = 0.0;
@@ -40,6 +44,7 @@ static void shift_begin(struct driveline_state *state, const struct plant_vars *
         return;
     }
     state->next_gear = next;
+    state->matching = state->gear > 0 && next > 0 ? 1 : 0; /* from neutral the car is launched or coasts */
     state->status = next > state->gear ? SHIFT_UP : SHIFT_DOWN;
     state->shift_left = p->shift_time;
 }
@@ -79,23 +84,24 @@ void driveline_shift_step(struct driveline_state *state, const struct plant_vars
     command->request = ENGINE_FOLLOW_THROTTLE;
     command->match_speed = 0.0;
     state->engagement = 0.0;
+    if (state->matching != 0) {
+        command->request = ENGINE_MATCH_SPEED;
+        command->match_speed = fmax(driveline_ratio(p, state->next_gear) * axle_speed, p->engine_idle_speed);
+    }
     if (state->shift_left > 0.0) {
-        /* Out of a gear the driveline opens under a torque cut. From or to neutral the engine just
-         * idles on. */
-        if (state->gear > 0 && state->next_gear > state->gear) {
-            command->request = ENGINE_CUT;
-        } else if (state->next_gear > 0 && state->next_gear < state->gear) {
-            command->request = ENGINE_MATCH_SPEED;
-            command->match_speed = driveline_ratio(p, state->next_gear) * axle_speed;
-        }
-        return;
+        return; /* the driveline is open */
     }
     const double ratio = driveline_ratio(p, state->gear);
     if (state->gear == 0 || ratio * axle_speed > overspeed_factor * p->engine_speed_limit) {
         state->clutch_ramp = 0.0;
+        state->matching = 0;
         return;
     }
-    state->clutch_ramp = fmin(1.0, state->clutch_ramp + dt / p->clutch_close_time);
+    const bool in_step = state->matching == 0 || fabs(engine_speed - command->match_speed) < match_tolerance;
+    state->clutch_ramp = fmin(1.0, state->clutch_ramp + dt / (in_step ? p->clutch_close_time : p->clutch_match_time));
+    if (state->clutch_ramp >= 1.0) {
+        state->matching = 0;
+    }
     const double span = fmax(p->clutch_closed_speed - p->clutch_engage_speed, 1.0);
     /* Capacity follows engine speed at once, so the engine cannot be dragged below idle. */
     state->engagement = fmin(state->clutch_ramp, clamp((engine_speed - p->clutch_engage_speed) / span, 0.0, 1.0));

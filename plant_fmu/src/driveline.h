@@ -16,6 +16,7 @@ struct driveline_state {
     int32_t status;       /**< enum shift_status */
     double shift_left;    /**< s until the shift ends, 0 when none runs */
     double clutch_ramp;   /**< 0..1, closing of the clutch after a shift */
+    int32_t matching;     /**< 1 while a shift waits for the engine to fall in step with the new gear */
     double engagement;    /**< 0..1, share of the clutch capacity in this step */
     double clutch_torque; /**< in the last step, N m at the crankshaft */
     double wheel_torque;  /**< in the last step, N m at both driven wheels */
@@ -44,8 +45,9 @@ double driveline_ratio(const struct plant_vars *p, int32_t gear);
 void driveline_start(struct driveline_state *state, int32_t gear);
 
 /** One inner step of the shift logic. `demand` saturates to 0..6. Writes what the engine is asked
- * to do into `command`. Shifts go one gear at a time and need `powered`; a downshift that would
- * drive the engine beyond its limit is locked out while it is demanded. */
+ * to do into `command`: between two gears it is brought to the speed of the new one, and until it is
+ * there the clutch closes slowly. Shifts go one gear at a time and need `powered`; a downshift that
+ * would drive the engine beyond its limit is locked out while it is demanded. */
 void driveline_shift_step(struct driveline_state *state, const struct plant_vars *p, int32_t demand, int32_t powered,
                           const double wheel_speed[4], double engine_speed, struct engine_command *command);
 

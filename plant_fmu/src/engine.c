@@ -16,8 +16,8 @@ static const double idle_integral_gain = 4.0;
 /* Drag fades to nothing below this speed: a standing engine stays where it is. */
 static const double drag_fade_speed = 10.0; /* rad/s */
 
-/* Speed matching at a downshift, N m per rad/s. */
-static const double match_gain = 4.0;
+/* Speed matching at a shift, N m per rad/s: the engine follows within about 10 ms. */
+static const double match_gain = 20.0;
 
 /* Torque falls with the air path, much faster than the turbo lets it rise. */
 static const double fall_rate_factor = 20.0;
@@ -124,11 +124,10 @@ void engine_step(struct engine_state *state, const struct plant_vars *p, const s
         const double ceiling = engine_full_torque(p, state->speed);
         const double limiter = clamp((p->engine_speed_limit - state->speed) / limiter_range, 0.0, 1.0);
         switch (command->request) {
-        case ENGINE_CUT:
-            drag = engine_drag(p, state->speed);
-            break;
         case ENGINE_MATCH_SPEED:
-            drive = clamp(match_gain * (command->match_speed - state->speed), 0.0, ceiling);
+            /* a blip for a lower gear, a cut for a higher one */
+            drag = engine_drag(p, state->speed);
+            drive = clamp(drag + match_gain * (command->match_speed - state->speed), 0.0, ceiling);
             break;
         case ENGINE_FOLLOW_THROTTLE:
         default:

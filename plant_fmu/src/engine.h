@@ -7,7 +7,7 @@
 #include "variables.h"
 
 /** What the gearbox asks of the engine while it shifts. */
-enum engine_request { ENGINE_FOLLOW_THROTTLE, ENGINE_CUT, ENGINE_MATCH_SPEED };
+enum engine_request { ENGINE_FOLLOW_THROTTLE, ENGINE_MATCH_SPEED };
 
 struct engine_state {
     double speed;         /**< rad/s, >= 0 */

@@ -108,6 +108,7 @@ static void write_motion_outputs(struct plant *plant)
     v->time = plant_time(plant);
     v->x = c->x;
     v->y = c->y;
+    v->z = c->z;
     v->yaw = c->yaw;
     v->vx = c->vx;
     v->vy = c->vy;
@@ -157,6 +158,10 @@ static void write_wheel_outputs(struct plant *plant, const double load[4], const
     v->tyre_temperature_fr = plant->thermal.tyre[FR];
     v->tyre_temperature_rl = plant->thermal.tyre[RL];
     v->tyre_temperature_rr = plant->thermal.tyre[RR];
+    v->tyre_pressure_fl = thermal_tyre_pressure(&plant->thermal, v, FL);
+    v->tyre_pressure_fr = thermal_tyre_pressure(&plant->thermal, v, FR);
+    v->tyre_pressure_rl = thermal_tyre_pressure(&plant->thermal, v, RL);
+    v->tyre_pressure_rr = thermal_tyre_pressure(&plant->thermal, v, RR);
 }
 
 static void write_machine_outputs(struct plant *plant)

@@ -14,6 +14,7 @@ static const double battery_time = 0.2;                   /* s */
 static const double cranking_drop = 2.2;                  /* V */
 static const double tyre_heat_share = 0.5;                /* of the slip loss; the rest stays on the road */
 static const double tyre_wind_cooling = 0.05;             /* growth of cooling per m/s */
+static const double absolute_zero = -273.15;              /* degC */
 
 void thermal_start(struct thermal_state *state, const struct plant_vars *p)
 {
@@ -55,4 +56,10 @@ void thermal_step(struct thermal_state *state, const struct plant_vars *p, const
         volts -= cranking_drop;
     }
     state->battery = lag_step(state->battery, volts, battery_time, dt);
+}
+
+double thermal_tyre_pressure(const struct thermal_state *state, const struct plant_vars *p, enum wheel wheel)
+{
+    const double cold = wheel < RL ? p->tyre_cold_pressure_front : p->tyre_cold_pressure_rear;
+    return cold * (state->tyre[wheel] - absolute_zero) / (p->ambient_temperature - absolute_zero);
 }

@@ -36,4 +36,7 @@ void thermal_start(struct thermal_state *state, const struct plant_vars *p);
 /** One step of `dt` seconds (0 < dt <= 0.1). */
 void thermal_step(struct thermal_state *state, const struct plant_vars *p, const struct thermal_input *in, double dt);
 
+/** Absolute pressure of a tyre, Pa: an ideal gas of constant volume, filled at ambient temperature. */
+double thermal_tyre_pressure(const struct thermal_state *state, const struct plant_vars *p, enum wheel wheel);
+
 #endif
