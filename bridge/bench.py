@@ -17,7 +17,7 @@ from bridge.bus import Network
 from bridge.interfaces import Autonomy, Road
 from bridge.laps import LapTimer
 from bridge.monitor import RunMonitor
-from bridge.operator import OperatorStation
+from bridge.operator import OperatorStation, Verdict
 from bridge.pace import WallClockPace
 from bridge.plant import Plant
 from bridge.race_control import RaceControl, SafetySwitch
@@ -38,6 +38,9 @@ TICK_US: int = lib.EXECUTIVE_FRAME_US
 
 #: Slower than this, the car stands, m/s.
 STANDSTILL_SPEED = 0.1
+
+#: How long a run with a rejected configuration goes on: long enough to see that the car is held.
+REJECTED_RUN_US = 3_000_000
 
 #: Ticks between calls of on_progress: ten per simulated second.
 _PROGRESS_TICKS = 10
@@ -260,13 +263,14 @@ class Bench:
         Returns
         -------
         bool
-            True when the condition held, False when time was up.
+            True when the condition held, False when time was up, or the onboard computer has rejected the
+            configuration: then the car is held until the next power-on, and the run ends soon.
         """
         finish = Trigger(until or self.scenario.finish)
         limit_us = self.scenario.time_limit_us if time_limit_us is None else time_limit_us
         pace = WallClockPace(rt_ratio) if rt_ratio is not None else None
         while not finish.update(self.situation):
-            if self.now_us >= limit_us:
+            if self.now_us >= limit_us or self._held_for_good():
                 return False
             if pace is not None:
                 pace.wait(self.now_us)
@@ -294,6 +298,10 @@ class Bench:
     def losses(self) -> int:
         """Frames lost anywhere for want of room: zero in a sound run."""
         return self.network.losses() + self.lost_in_outboxes
+
+    def _held_for_good(self) -> bool:
+        rejected_us = self.operator.verdict_us if self.operator.verdict is Verdict.REJECTED else None
+        return rejected_us is not None and self.now_us >= rejected_us + REJECTED_RUN_US
 
     def _observe(self) -> None:
         """Look at the car after a tick: what scenario steps, sensors and the road of the next tick depend on."""

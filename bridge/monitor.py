@@ -48,7 +48,7 @@ class RunMonitor:
     Attributes
     ----------
     transitions, faults : what happened, in order.
-    executive_overruns, executive_late_frames : newest figures of the onboard computer's executive.
+    executive_frames, executive_overruns, executive_late_frames : newest figures of the onboard computer's executive.
     """
 
     def __init__(self) -> None:
@@ -62,6 +62,7 @@ class RunMonitor:
         self._state: dict[str, int] = {}
         self.transitions: list[Transition] = []
         self.faults: list[FaultEvent] = []
+        self.executive_frames = 0
         self.executive_overruns = 0
         self.executive_late_frames = 0
 
@@ -78,6 +79,7 @@ class RunMonitor:
                 self.faults.append(FaultEvent(time_us, fault_id, bool(active), bool(latched), reaction, detail))
         if "executive_statistics" in columns:
             statistics = columns["executive_statistics"]
+            self.executive_frames = int(statistics["executive_frames"][1][-1])
             self.executive_overruns = int(statistics["executive_overruns"][1][-1])
             self.executive_late_frames = int(statistics["executive_late_frames"][1][-1])
 

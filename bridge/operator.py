@@ -11,8 +11,8 @@ from dbc.frames import FRAME_SIZE, iterate
 #: launch_request repeats every 100 ms while it is wanted.
 LAUNCH_PERIOD_US = 100_000
 
-#: Parameter frames per tick: a burst of all would hold up CAN-A for several ticks.
-WRITES_PER_TICK = 16
+#: Parameter frames per tick: what the onboard computer answers in one, so that its queue of results never overflows.
+WRITES_PER_TICK = 4
 
 
 class Verdict(IntEnum):
@@ -43,6 +43,7 @@ class OperatorStation:
     ----------
     launch_wanted : content of launch_request.
     verdict : of the onboard computer on the whole configuration.
+    verdict_us : when it came; None before.
     offences : parameters that it did not accept.
     """
 
@@ -54,6 +55,7 @@ class OperatorStation:
         self._counter = 0
         self.launch_wanted = True
         self.verdict = Verdict.PENDING
+        self.verdict_us: int | None = None
         self.offences: list[ParameterResult] = []
 
     @property
@@ -64,7 +66,7 @@ class OperatorStation:
     def tick(self, now_us: int, frames: bytes) -> bytes:
         """Frames to send in this tick, given those received since the last one."""
         if self.listening:
-            self._listen(frames)
+            self._listen(now_us, frames)
         if self._pending:
             size = WRITES_PER_TICK * FRAME_SIZE
             sent, self._pending = self._pending[:size], self._pending[size:]
@@ -74,7 +76,7 @@ class OperatorStation:
             return self._launch.frame(float(self.launch_wanted), 0, self._counter)
         return b""
 
-    def _listen(self, frames: bytes) -> None:
+    def _listen(self, now_us: int, frames: bytes) -> None:
         for frame in iterate(frames):
             if frame.id == self._result.frame_id:
                 result = ParameterResult(*(int(value) for value in self._result.decode(frame.data)))
@@ -82,3 +84,4 @@ class OperatorStation:
                     self.offences.append(result)
             elif frame.id == self._summary.frame_id:
                 self.verdict = Verdict(int(self._summary.decode(frame.data)[3]))
+                self.verdict_us = None if self.verdict is Verdict.PENDING else now_us

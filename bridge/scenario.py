@@ -145,7 +145,7 @@ def load_scenario(path: Path) -> Scenario:
         operation=_referenced(path, content, "operation"),
         seed=content["seed"],
         fmi_version=plant.get("fmi_version", 0),
-        fmu=path.parent / plant["fmu"] if "fmu" in plant else None,
+        fmu=_referenced(path, plant, "fmu", "plant.") if "fmu" in plant else None,
         start_s_m=float(content["start"]["s_m"]),
         start_d_m=float(content["start"]["d_m"]),
         safety_switch=tuple(
@@ -180,11 +180,12 @@ def _schema() -> dict[str, Any]:
     return schema
 
 
-def _referenced(scenario: Path, content: Mapping[str, Any], key: str) -> Path:
+def _referenced(scenario: Path, content: Mapping[str, Any], key: str, parent: str = "") -> Path:
+    """The existing file that a key names; `parent` of the key is for the message."""
     name: str = content[key]
     path = (scenario.parent / name).resolve()
     if not path.is_file():
-        raise ConfigurationError(scenario, key, f"no such file: {name}")
+        raise ConfigurationError(scenario, parent + key, f"no such file: {name}")
     return path
 
 

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from rich.console import Console
 
 from bridge._native import ffi, lib
 from dbc.frames import FRAME_SIZE, Bus, iterate
-from firmware.parameters import Verdict, check_operation, load_operation
+from firmware.parameters import Offence, Verdict, check_operation, load_operation
+from tools.exit_status import ExitStatus
 
 _OUTBOX = 256
 
@@ -40,18 +41,23 @@ def validate(path: Path) -> Verdict:
     Raises
     ------
     ConfigurationError
-        When the file is no mapping of keys to values at all; what a value may be is for the firmware to say.
+        When the file is no mapping of names to values at all; what is allowed in it is for the firmware to say.
     """
     return check_operation(load_operation(path), LoneObc().tick)
 
 
 def check_params(path: Path, console: Console) -> int:
-    """Print the verdict with every offence; returns 0 when accepted, else 2."""
+    """Print the verdict with every offence; returns the exit status."""
     verdict = validate(path)
     if verdict.accepted:
-        console.print(f"{path}: accepted")
-        return 0
-    console.print(f"{path}: rejected, {len(verdict.offences)} offence(s)")
-    for offence in verdict.offences:
+        console.print(f"{path}: accepted", markup=False)
+        return ExitStatus.DONE
+    show_rejected(path, verdict.offences, console)
+    return ExitStatus.USER_ERROR
+
+
+def show_rejected(path: Path, offences: Sequence[Offence], console: Console) -> None:
+    """Print every offence: key, value, reason, what is allowed."""
+    console.print(f"{path}: rejected, {len(offences)} offence{'s' if len(offences) > 1 else ''}", markup=False)
+    for offence in offences:
         console.print(f"  {offence}", markup=False)
-    return 2

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -10,9 +11,7 @@ from pathlib import Path
 from rich.console import Console
 
 from dbc.errors import RaceloopError
-
-USER_ERROR = 2
-"""Exit status for a mistake in what the user gave; also argparse's."""
+from tools.exit_status import ExitStatus
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -22,11 +21,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         return _dispatch(options, console)
     except RaceloopError as error:
-        print(f"raceloop: {error}", file=sys.stderr)
-        return USER_ERROR
+        # One line, whatever line breaks a key or a name in the user's file holds.
+        print(f"raceloop: {' '.join(str(error).split())}", file=sys.stderr)
+        return ExitStatus.USER_ERROR
     except KeyboardInterrupt:
         print("raceloop: interrupted; nothing was written", file=sys.stderr)
-        return 130
+        return ExitStatus.INTERRUPTED
 
 
 def _dispatch(options: argparse.Namespace, console: Console) -> int:
@@ -46,7 +46,9 @@ def _dispatch(options: argparse.Namespace, console: Console) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="raceloop", description="Hardware-in-the-loop CAN bench for autonomous race cars"
+        prog="raceloop",
+        description="Hardware-in-the-loop CAN bench for autonomous race cars",
+        epilog="Exit status: 0 done, 1 finish or target missed, 2 a mistake in what was given.",
     )
     commands = parser.add_subparsers(dest="command", required=True)
 
@@ -74,17 +76,19 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _positive(text: str) -> float:
-    value = float(text)
-    if not 0.0 < value < float("inf"):
-        raise argparse.ArgumentTypeError("must be a number above 0")
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0.0 < value < math.inf:
+        raise argparse.ArgumentTypeError(f"is {text!r}; must be a number above 0")
     return value
 
 
 def _count(text: str) -> int:
-    value = int(text)
-    if value < 1:
-        raise argparse.ArgumentTypeError("must be at least 1")
-    return value
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"is {text!r}; must be a whole number of at least 1")
+    return int(text)
 
 
 if __name__ == "__main__":

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -16,20 +14,6 @@ from dbc.codec import database
 from tools.tracking import Plans, plans_from_points
 
 Column = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Change:
-    """A signal took another value.
-
-    Attributes
-    ----------
-    time_s : when the frame was on the bus, s.
-    value : the new value, by its name where the DBC names it.
-    """
-
-    time_s: float
-    value: str
 
 
 class Recorded:
@@ -56,16 +40,6 @@ class Recorded:
     def truth(self) -> Mapping[str, Column]:
         """The plant's outputs every tick, SI units, and `time_us`."""
         return _columns(self._truth)
-
-    def changes(self, message: str, signal: str) -> list[Change]:
-        """The first value of a signal and every change of it."""
-        columns = self.message(message)
-        time_us, values = columns["time_us"], columns[signal]
-        if values.size == 0:
-            return []
-        at = np.flatnonzero(np.diff(values, prepend=values[0] - 1.0))
-        names: Mapping[int, Any] = database.facts(message).message.get_signal_by_name(signal).choices or {}
-        return [Change(float(time_us[i]) * 1e-6, str(names.get(int(values[i]), f"{values[i]:g}"))) for i in at]
 
     def plans(self) -> Plans:
         """Every plan that was published, from its frames on CAN-A.

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,10 +26,13 @@ from bridge.interfaces import Road
 from bridge.recorder import Recording
 from bridge.scenario import Scenario, load_scenario
 from bridge.states import CtState
-from dbc.codec import database
 from dbc.errors import ConfigurationError, RaceloopError
+from firmware.parameters import Offence, decode_results, load_operation
+from firmware.tables import load_parameters
+from tools.check_params import show_rejected
+from tools.exit_status import ExitStatus
 from tools.recorded import Recorded
-from tools.summary import driving_summary, show_summary, write_summary
+from tools.summary import driving_summary, event_summary, show_summary, write_summary
 
 DEFAULT_SCENARIO = scenarios.DIRECTORY / "solo_lap.yaml"
 SUMMARY = "summary.json"
@@ -77,7 +83,24 @@ def build_bench(scenario: Scenario, folder: Path | None = None) -> Bench:
     RaceloopError
         When a file that the scenario names is wrong.
     """
-    return Bench.from_scenario(scenario, load_track, make_autonomy, folder)
+    return Bench.from_scenario(scenario, partial(_load_road, scenario), make_autonomy, folder)
+
+
+def _load_road(scenario: Scenario, path: Path) -> Track:
+    """Load the track of a scenario, which must have the start on it."""
+    track = load_track(path)
+    station, lateral = scenario.start_s_m, scenario.start_d_m
+    if station >= track.length:
+        raise ConfigurationError(
+            scenario.path, "start.s_m", f"is {station:g}; must be below {track.length:.1f}, the length of the lap"
+        )
+    node = int(station / track.centre.spacing)
+    left, right = float(track.width_left[node]), float(track.width_right[node])
+    if not -right <= lateral <= left:
+        raise ConfigurationError(
+            scenario.path, "start.d_m", f"is {lateral:g}; must be {-right:.1f} to {left:.1f}, the track's width there"
+        )
+    return track
 
 
 def run(scenario_name: str | None, folder: Path, console: Console, rt_ratio: float | None = None) -> int:
@@ -86,17 +109,19 @@ def run(scenario_name: str | None, folder: Path, console: Console, rt_ratio: flo
     Returns
     -------
     int
-        Exit status: 0 when the scenario reached its finish, 1 when its time ran out.
+        Exit status: a run that the firmware's verdict on the operation file held at full brake is the user's mistake.
 
     Raises
     ------
     RaceloopError
         When a file is wrong or cannot be written; nothing is left half-written.
     """
-    database.check_sources()
     scenario = load_scenario(find_scenario(scenario_name))
-    _make_folder(folder)
-    with build_bench(scenario, folder) as bench:
+    with build_bench(scenario) as bench:
+        if scenario.finish.for_us == 0 and scenario.finish.holds(bench.situation):
+            raise ConfigurationError(scenario.path, "finish", "holds at power-on; must be something yet to come")
+        _make_folder(folder)
+        bench.record_to(folder)
         with _progress(console, scenario) as on_progress:
             started = time.perf_counter()
             finished = bench.run(on_progress=on_progress, rt_ratio=rt_ratio)
@@ -105,16 +130,34 @@ def run(scenario_name: str | None, folder: Path, console: Console, rt_ratio: flo
             recording = bench.finish()
         assert recording is not None
         whole_s = time.perf_counter() - started
-        summary = _summary(bench, recording, finished, loop_s, whole_s, folder)
+        offences = _offences(bench)
+        summary = _summary(bench, recording, finished, offences, loop_s, whole_s, folder)
     write_summary(summary, folder / SUMMARY)
     show_summary(summary, console)
+    if offences:
+        show_rejected(scenario.operation, offences, console)
+        console.print("[red]Not driven[/red]: the onboard computer holds full brake until the next power-on")
+        return ExitStatus.USER_ERROR
     if not finished:
         console.print(f"[red]Not finished[/red] within the scenario's {scenario.time_limit_us * 1e-6:g} s")
-    return 0 if finished else 1
+        return ExitStatus.MISSED
+    return ExitStatus.DONE
+
+
+def _offences(bench: Bench) -> list[Offence]:
+    """What the onboard computer has refused in the operation file."""
+    refused = ((result.key, result.status, result.value) for result in bench.operator.offences)
+    return list(decode_results(refused, load_operation(bench.scenario.operation), load_parameters()))
 
 
 def _summary(
-    bench: Bench, recording: Recording, finished: bool, loop_s: float, whole_s: float, folder: Path
+    bench: Bench,
+    recording: Recording,
+    finished: bool,
+    offences: list[Offence],
+    loop_s: float,
+    whole_s: float,
+    folder: Path,
 ) -> dict[str, Any]:
     simulated_s = bench.now_us * 1e-6
     files = (recording.candump, recording.blf, recording.signals, recording.truth, folder / SUMMARY)
@@ -126,8 +169,11 @@ def _summary(
         "wall_s": loop_s,
         "wall_with_recording_s": whole_s,
         "real_time_factor": simulated_s / loop_s,
+        "configuration": bench.operator.verdict.name,
+        "offences": [asdict(offence) for offence in offences],
         "laps_s": list(bench.laps.laps_s),
         **driving_summary(Recorded(recording.signals, recording.truth)),
+        **event_summary(bench.monitor),
         "buses": {
             CHANNELS[bus]: {
                 "bit_rate": BIT_RATES[bus],
@@ -147,8 +193,11 @@ def _summary(
 
 
 def _make_folder(folder: Path) -> None:
+    """Make the folder, and see now rather than after the run whether a file can be made in it."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
     except OSError as error:
         raise RaceloopError(f"{folder}: cannot be the folder of the recording: {error.strerror}") from error
 
@@ -163,7 +212,7 @@ def _progress(console: Console, scenario: Scenario) -> Iterator[Any]:
         TextColumn("{task.fields[state]}"),
         TimeElapsedColumn(),
     )
-    with Progress(*columns, console=console, transient=True) as bar:
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task(scenario.name, total=scenario.time_limit_us, state="")
 
         def show(progress: lockstep.Progress) -> None:

@@ -1,15 +1,21 @@
-"""What a run achieved, from its recording: `summary.json` and the page that the terminal shows."""
+"""What a run achieved: `summary.json` and the page that the terminal shows."""
 
 from __future__ import annotations
 
 import json
+import textwrap
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rich import box
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
+from bridge.monitor import FaultEvent, RunMonitor
+from dbc.errors import RaceloopError
 from firmware.tables import load_faults
 from tools.recorded import Recorded
 from tools.tracking import PAPER, PAPER_TOP_SPEED_KMH, TrackingErrors, tracking_errors, tracking_table
@@ -17,9 +23,12 @@ from tools.tracking import PAPER, PAPER_TOP_SPEED_KMH, TrackingErrors, tracking_
 YAW_BAND_RAD = 0.02
 """The paper states the share of yaw errors inside this band (97 %)."""
 
+WIDTH = 80
+"""Columns of the page."""
+
 
 def driving_summary(recorded: Recorded) -> dict[str, Any]:
-    """The figures that the recording alone holds: speed, tracking, states, faults, executive."""
+    """How the car drove: speed, distance, tracking."""
     truth = recorded.truth
     speed = np.hypot(truth["vx"], truth["vy"])
     errors = tracking_errors(
@@ -31,11 +40,6 @@ def driving_summary(recorded: Recorded) -> dict[str, Any]:
         "distance_m": float(truth["distance"][-1]),
         "tracking": tracking_table(errors),
         **_tracking_shares(errors),
-        "ssm_transitions": _transitions(recorded, "ssm_status", "ssm_state"),
-        "ct_state_transitions": _transitions(recorded, "ct_report", "ct_state"),
-        "sys_state_transitions": _transitions(recorded, "misc_report", "sys_state"),
-        "faults": _faults(recorded),
-        "executive": _executive(recorded),
     }
 
 
@@ -48,94 +52,118 @@ def _tracking_shares(errors: TrackingErrors) -> dict[str, float | None]:
     }
 
 
-def _transitions(recorded: Recorded, message: str, signal: str) -> list[dict[str, Any]]:
-    return [{"time_s": change.time_s, "state": change.value} for change in recorded.changes(message, signal)]
+def event_summary(monitor: RunMonitor) -> dict[str, Any]:
+    """What happened: changes of state, faults, figures of the onboard computer's executive."""
+    return {
+        **{
+            key: [
+                {"time_s": change.time_us * 1e-6, "before": change.before, "state": change.after}
+                for change in monitor.transitions
+                if change.machine == machine
+            ]
+            for key, machine in (
+                ("ssm_transitions", "ssm"),
+                ("ct_state_transitions", "ct"),
+                ("sys_state_transitions", "sys"),
+            )
+        },
+        "faults": _faults(monitor.faults),
+        "executive": {
+            "frames": monitor.executive_frames,
+            "overruns": monitor.executive_overruns,
+            "late_frames": monitor.executive_late_frames,
+        },
+    }
 
 
-def _faults(recorded: Recorded) -> list[dict[str, Any]]:
+def _faults(events: Iterable[FaultEvent]) -> list[dict[str, Any]]:
     """Every fault that became active, with when it cleared."""
-    names = {fault.id: fault for fault in load_faults()}
-    events = recorded.message("fault_event")
+    table = {fault.id: fault for fault in load_faults()}
     faults: list[dict[str, Any]] = []
-    open_faults: dict[int, dict[str, Any]] = {}
-    for time_us, identifier, active in zip(
-        events["time_us"], events["fault_id"].astype(int), events["fault_active"].astype(bool), strict=True
-    ):
-        time_s = float(time_us) * 1e-6
-        if active:
-            fault = names.get(int(identifier))
-            row: dict[str, Any] = {
-                "fault": fault.name if fault else f"fault {identifier}",
+    active: dict[int, dict[str, Any]] = {}
+    for event in events:
+        time_s = event.time_us * 1e-6
+        if event.active:
+            fault = table.get(event.fault_id)  # a tap may send what the firmware never would
+            row = {
+                "fault": fault.name if fault else f"fault {event.fault_id}",
                 "reaction": fault.reaction if fault else "unknown",
                 "time_s": time_s,
                 "cleared_s": None,
             }
             faults.append(row)
-            open_faults[int(identifier)] = row
-        elif (row_open := open_faults.pop(int(identifier), None)) is not None:
-            row_open["cleared_s"] = time_s
+            active[event.fault_id] = row
+        elif event.fault_id in active:
+            active.pop(event.fault_id)["cleared_s"] = time_s
     return faults
 
 
-def _executive(recorded: Recorded) -> dict[str, Any]:
-    statistics = recorded.message("executive_statistics")
-    if statistics["time_us"].size == 0:
-        return {"frames": 0, "overruns": 0, "late_frames": 0}
-    return {
-        "frames": int(statistics["executive_frames"][-1]),
-        "overruns": int(statistics["executive_overruns"][-1]),
-        "late_frames": int(statistics["executive_late_frames"][-1]),
-    }
+def write_summary(summary: Mapping[str, Any], path: Path) -> None:
+    """Write `summary.json`; under a temporary name first, so that a reader never sees half of it.
 
-
-def write_summary(summary: dict[str, Any], path: Path) -> None:
-    """Write `summary.json`; under a temporary name first, so that a reader never sees half of it."""
+    Raises
+    ------
+    RaceloopError
+        When it cannot be written; nothing is left half-written.
+    """
     partial = path.with_suffix(".partial")
-    partial.write_text(json.dumps(summary, indent=2, allow_nan=False) + "\n")
-    partial.replace(path)
+    try:
+        partial.write_text(json.dumps(summary, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+        partial.replace(path)
+    except OSError as error:
+        partial.unlink(missing_ok=True)
+        raise RaceloopError(f"{path}: cannot be written: {error.strerror}") from error
 
 
-def show_summary(summary: dict[str, Any], console: Console) -> None:
-    """Print the page."""
-    laps = ", ".join(f"{lap:.3f} s" for lap in summary["laps_s"]) or "none"
+def show_summary(summary: Mapping[str, Any], console: Console) -> None:
+    """Print the page, at most `WIDTH` columns wide but for names of files."""
+    console.print(f"[bold]{escape(summary['scenario'])}[/bold], seed {summary['seed']}")
     console.print(
-        f"\n[bold]{summary['scenario']}[/bold]  seed {summary['seed']}, {summary['simulated_s']:.2f} s simulated"
-        f" in {summary['wall_s']:.2f} s: {summary['real_time_factor']:.1f} times real time"
+        f"{summary['simulated_s']:.2f} s simulated in {summary['wall_s']:.2f} s:"
+        f" {summary['real_time_factor']:.1f} times real time"
     )
-    console.print(f"Laps: {laps}    Top speed: {summary['top_speed_kmh']:.1f} km/h (paper {PAPER_TOP_SPEED_KMH})")
-    console.print(_tracking_table(summary["tracking"]))
+    laps = ", ".join(f"{lap:.3f} s" for lap in summary["laps_s"]) or "none"
+    console.print(f"Laps: {laps}; top speed {summary['top_speed_kmh']:.1f} km/h (paper {PAPER_TOP_SPEED_KMH})\n")
+    console.print("Errors of the true pose against the published path (paper's figures in brackets)")
+    console.print(_tracking_table(summary["tracking"]), width=WIDTH)
     inside, left = summary["yaw_error_share_in_band"], summary["cross_track_share_left"]
     if inside is not None:
         console.print(
-            f"Yaw errors within {YAW_BAND_RAD} rad: {inside:.1%} (paper 97 %)"
-            f"    Cross-track errors to the left: {left:.1%} (paper 87 %)"
+            f"Yaw errors within {YAW_BAND_RAD} rad: {inside:.1%} (paper 97 %);"
+            f" car left of the path: {left:.1%} (paper 87 %)"
         )
-    console.print(_bus_table(summary["buses"]))
-    console.print(_states("SSM", summary["ssm_transitions"]))
-    console.print(_states("ct_state", summary["ct_state_transitions"]))
-    console.print(_states("sys_state", summary["sys_state_transitions"]))
+    console.print()
+    console.print(_bus_table(summary["buses"]), width=WIDTH)
+    console.print()
+    for name, key in (("SSM", "ssm"), ("ct_state", "ct_state"), ("sys_state", "sys_state")):
+        console.print(_states(name, summary[f"{key}_transitions"]))
     for fault in summary["faults"]:
-        console.print(f"[red]Fault[/red] {fault['time_s']:.3f} s: {fault['fault']} ({fault['reaction']})")
+        cleared = "" if fault["cleared_s"] is None else f", cleared {fault['cleared_s']:.3f} s"
+        console.print(f"[red]Fault[/red] {fault['time_s']:.3f} s: {fault['fault']} ({fault['reaction']}){cleared}")
     executive = summary["executive"]
     console.print(
-        f"Faults: {len(summary['faults'])}    OBC executive: {executive['frames']} frames,"
+        f"Faults: {len(summary['faults'])}; OBC executive: {executive['frames']} frames,"
         f" {executive['overruns']} overruns, {executive['late_frames']} late"
     )
-    console.print(f"Frame log SHA-256: {summary['frame_log_sha256']}")
-    console.print(f"Files: {summary['folder']}: {', '.join(summary['files'])}")
+    console.print(f"frames.log SHA-256\n  {summary['frame_log_sha256']}")
+    console.print(f"Files in {summary['folder']}: {', '.join(summary['files'])}", markup=False)
 
 
-def _tracking_table(rows: list[dict[str, Any]]) -> Table:
-    table = Table(
-        title="Tracking of the published path by the true pose (paper's figure in brackets)", title_justify="left"
-    )
-    for heading in ("speed km/h", "CTE max m", "CTE |mean| m", "CTE std m", "yaw error max rad", "samples"):
-        table.add_column(heading, justify="right")
+def _table(*headings: str) -> Table:
+    """Right-aligned columns, no frame, so that it fits a narrow terminal."""
+    table = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False)
+    for heading in headings:
+        table.add_column(heading, justify="right", no_wrap=True)
+    return table
+
+
+def _tracking_table(rows: Iterable[Mapping[str, Any]]) -> Table:
+    table = _table("km/h", "CTE max m", "CTE mean m", "CTE std m", "yaw max rad", "n")
     for row, paper in zip(rows, PAPER, strict=True):
         low, high = row["speed_range_kmh"]
-        cells = [f"{low:g} to {high:g}" if high is not None else f"above {low:g}"]
-        for key in ("cte_max_m", "cte_abs_mean_m", "cte_std_m", "yaw_error_max_rad"):
-            ours, theirs = row[key], getattr(paper, key)
+        cells = [f"> {low:g}" if high is None else f"{low:g}-{high:g}"]
+        for figure in ("cte_max_m", "cte_abs_mean_m", "cte_std_m", "yaw_error_max_rad"):
+            ours, theirs = row[figure], getattr(paper, figure)
             if ours is None:
                 cells.append(f"- ({theirs:g})")
             else:
@@ -145,10 +173,8 @@ def _tracking_table(rows: list[dict[str, Any]]) -> Table:
     return table
 
 
-def _bus_table(buses: dict[str, dict[str, Any]]) -> Table:
-    table = Table(title="Buses", title_justify="left")
-    for heading in ("bus", "bit/s", "frames", "frames/s", "load mean", "load peak (10 ms)", "lost"):
-        table.add_column(heading, justify="right")
+def _bus_table(buses: Mapping[str, Mapping[str, Any]]) -> Table:
+    table = _table("bus", "bit/s", "frames", "frames/s", "mean load", "peak in 10 ms", "lost")
     for name, bus in buses.items():
         table.add_row(
             name,
@@ -162,6 +188,11 @@ def _bus_table(buses: dict[str, dict[str, Any]]) -> Table:
     return table
 
 
-def _states(title: str, transitions: list[dict[str, Any]]) -> str:
-    steps = " -> ".join(f"{change['state']} {change['time_s']:.2f}" for change in transitions)
-    return f"{title} (s): {steps or 'none'}"
+def _states(title: str, transitions: Sequence[Mapping[str, Any]]) -> str:
+    """The states with the times at which they were entered, s."""
+    if not transitions:
+        return f"{title}: no change"
+    steps = [transitions[0]["before"], *(f"{change['state']} {change['time_s']:.2f}" for change in transitions)]
+    # Break lines between steps only.
+    joined = " > ".join(step.replace(" ", "\0") for step in steps)
+    return textwrap.fill(f"{title}: {joined}", WIDTH, subsequent_indent="  ", break_on_hyphens=False).replace("\0", " ")
