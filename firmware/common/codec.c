@@ -123,8 +123,8 @@ bool codec_timed_out(const codec_rx *rx, uint16_t timeout_ms, uint64_t since_us,
         return false;
     }
     const uint64_t reference_us = rx->seen ? rx->last_valid_us : since_us;
-    /* A reference in the future would be an age below zero: fresh. */
-    return now_us > reference_us && now_us - reference_us > (uint64_t)timeout_ms * 1000U;
+    /* A reference in the future (a clock that was set back) wraps to a huge age: nobody knows how old it is. */
+    return now_us - reference_us > (uint64_t)timeout_ms * 1000U;
 }
 
 void codec_finish(can_frame *frame, const codec_message *message, uint8_t *counter)

@@ -69,7 +69,8 @@ codec_status codec_accept(const can_frame *frame, const codec_message **message)
 codec_status codec_receive(codec_rx *rx, const can_frame *frame, uint64_t now_us);
 
 /* True when the message was never valid and `since_us` is older than its timeout, or its last valid frame is.
- * since_us: start of supervision. timeout_ms 0: never. */
+ * since_us: start of supervision. timeout_ms 0: never.
+ * A time that lies in the future counts as older: after the clock was set back only a new frame is fresh. */
 bool codec_timed_out(const codec_rx *rx, uint16_t timeout_ms, uint64_t since_us, uint64_t now_us);
 
 /* Write the counter (then increment the caller's, wrapping at the field's width) and the CRC of a packed frame. */

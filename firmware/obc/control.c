@@ -41,9 +41,12 @@ static float car_speed(const control_input *in, bool usable)
     if (!usable) {
         return wheel;
     }
+    const float estimated = fmaxf(in->estimate.vx, 0.0f);
     const float part =
         numeric_clamp((wheel - wheel_speed_until) / (estimate_speed_from - wheel_speed_until), 0.0f, 1.0f);
-    return wheel + part * (fmaxf(in->estimate.vx, 0.0f) - wheel);
+    const float speed = wheel + part * (estimated - wheel);
+    /* Where the two contradict each other, a wheel that locks or a source that hangs, the car is taken to be fast. */
+    return fmaxf(speed, fmaxf(wheel, estimated) - CONTROL_SPEED_DISAGREEMENT);
 }
 
 /* Let every lateral controller see the car at the end of the dead time. */
@@ -132,7 +135,9 @@ static void drive(control *self, const control_input *in, float speed, const pat
             .gear = in->feedback.gear,
             .shifting = in->feedback.gear_shift_status != GEAR_SHIFT_READY,
         };
-        if (out->lateral_valid && !in->safe_stop) {
+        /* Nobody planned what comes after the last point: a car that is beyond it stops. */
+        const bool beyond = now->outside && now->foot.s > 0.0f;
+        if (out->lateral_valid && !in->safe_stop && !beyond) {
             speed_target(in, now->foot.s, speed, &wish);
         }
         longitudinal_step(&self->speed, &wish, &result);

@@ -15,6 +15,8 @@
 #include "obc/motion_predictor.h"
 #include "obc/trajectory.h"
 
+#define CONTROL_SPEED_DISAGREEMENT 2.0f /* m/s between wheels and estimate, above which the faster one counts */
+
 /* Lateral controllers; the numbers are those of ssm_status.ssm_controller. */
 enum control_lateral {
     CONTROL_NONE = 0,
@@ -89,11 +91,11 @@ typedef struct control {
 void control_init(control *self);
 
 /* One period of control, called at 100 Hz. Without a plan or an estimate the wheels keep their angle and the car is
- * braked at max_deceleration; below walking pace the wheels keep their angle too, as they do when the chosen controller
- * is CONTROL_NONE or CONTROL_EMERGENCY, or has no finite answer. The road wheel command is rounded to the step of
- * steering_cmd, and what rounding withholds is carried over, so that its mean is exact.
- * input, output: not null. Whatever the input holds, all commands are finite and inside their ranges;
- * road_wheel_angle is as its controller computed it. */
+ * braked at max_deceleration, which it is beyond the last point of a plan, too; below walking pace the wheels keep
+ * their angle too, as they do when the chosen controller is CONTROL_NONE or CONTROL_EMERGENCY, or has no finite answer.
+ * The road wheel command is rounded to the step of steering_cmd, and what rounding withholds is carried over, so that
+ * its mean is exact. input, output: not null. Whatever the input holds, all commands are finite and inside their
+ * ranges; road_wheel_angle is as its controller computed it. */
 void control_step(control *self, const control_input *input, control_output *output);
 
 #endif

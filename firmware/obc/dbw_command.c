@@ -52,11 +52,16 @@ static uint8_t find_violations(const dbw_demand *demand)
     return violations;
 }
 
+/* The limit, or the other pressure when it is none: zero, negative or not finite. */
+static float pressure_or(float limit, float other)
+{
+    return limit > 0.0f && isfinite(limit) ? limit : other;
+}
+
 static setpoint gate(const dbw_demand *demand, const dbw_limits *limits, uint8_t mode)
 {
-    /* Limits that were never filled in must not make a full brake of nothing. */
-    const bool limited = limits->full_brake_pressure > 0.0f;
-    const float full_brake_pressure = limited ? limits->full_brake_pressure : DBW_FULL_BRAKE_PA;
+    /* Limits that were never filled in must not make nothing of a brake. */
+    const float full_brake_pressure = pressure_or(limits->full_brake_pressure, DBW_FULL_BRAKE_PA);
     switch (mode) {
     case DBW_DRIVE: {
         const float brake = clamp(demand->brake_pressure, 0.0f, full_brake_pressure);
@@ -64,7 +69,8 @@ static setpoint gate(const dbw_demand *demand, const dbw_limits *limits, uint8_t
         return (setpoint){.throttle = brake > 0.0f ? 0.0f : throttle, .brake_pressure = brake};
     }
     case DBW_HOLD:
-        return (setpoint){.throttle = 0.0f, .brake_pressure = limits->holding_brake_pressure};
+        return (setpoint){.throttle = 0.0f,
+                          .brake_pressure = pressure_or(limits->holding_brake_pressure, full_brake_pressure)};
     default:
         return (setpoint){.throttle = 0.0f, .brake_pressure = full_brake_pressure};
     }

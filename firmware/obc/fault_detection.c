@@ -38,16 +38,17 @@ static void detect_executive(fault_detection *self, const fault_sources *sources
 {
     const executive *source = sources->executive;
     const uint32_t late = source->late_frames + source->missed_frames;
-    if (sources->now_us - self->window_us >= WATCHDOG_WINDOW_US) {
-        self->window_us = sources->now_us;
-        self->window_overruns = source->overruns;
-        self->window_late = late;
-    }
     set(conditions, FAULT_EXECUTIVE_OVERRUN,
         source->overruns - self->window_overruns >= milliseconds(sources, PARAMETER_EXECUTIVE_OVERRUN_LIMIT),
         source->overruns);
     set(conditions, FAULT_EXECUTIVE_LATE,
         late - self->window_late >= milliseconds(sources, PARAMETER_EXECUTIVE_LATE_LIMIT), late);
+    /* Only now may a new window begin: a stall that fills a whole window counts to the one it ends. */
+    if (sources->now_us - self->window_us >= WATCHDOG_WINDOW_US) {
+        self->window_us = sources->now_us;
+        self->window_overruns = source->overruns;
+        self->window_late = late;
+    }
 
     const executive_record *control = &source->records[sources->control_task];
     set(conditions, FAULT_CONTROL_LATE, control->overruns != self->control_overruns, control->worst_us);

@@ -3,6 +3,13 @@
 #include "common/codec.h"
 #include "generated/autonomy.h"
 
+/* A code that means that the node does not work; one that nobody defined means nothing better. */
+static bool is_failure(uint8_t status_code)
+{
+    return status_code != NODE_OK && status_code != NODE_INITIALIZED && status_code != NODE_INACTIVE &&
+           status_code != NODE_NOT_INITIALIZED;
+}
+
 void node_monitor_push(node_monitor *self, const can_frame *frame, uint64_t now_us)
 {
     const codec_message *message = NULL;
@@ -33,7 +40,7 @@ node_health node_monitor_check(const node_monitor *self, uint32_t node, const no
         .reliability = state->reliability,
         .heartbeat = state->heartbeat,
         .ok = code == NODE_OK,
-        .failed = code == NODE_ERROR || code == NODE_DEAD,
+        .failed = is_failure(code),
         .stalled = !state->seen || now_us - state->progress_us > (uint64_t)limits->heartbeat_timeout_ms * 1000U,
         .unreliable = !(state->reliability >= limits->min_reliability),
     };

@@ -41,7 +41,7 @@ typedef struct node_health {
     float reliability;   /* percent, as reported */
     uint16_t heartbeat;
     bool ok;         /* reports OK */
-    bool failed;     /* reports ERROR or DEAD, or is silent */
+    bool failed;     /* reports ERROR, DEAD or a code that does not exist, or is silent */
     bool stalled;    /* no progress */
     bool unreliable; /* reliability below the limit */
 } node_health;

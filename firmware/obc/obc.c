@@ -22,20 +22,30 @@ static uint32_t integer(const obc *self, uint32_t index)
     return (uint32_t)parameters_integer(&self->parameters, index); /* no parameter allows negative integers */
 }
 
+static control_estimate estimate(const obc *self)
+{
+    return estimate_receiver_get(&self->estimate, integer(self, PARAMETER_ESTIMATE_TIMEOUT), self->io.now_us);
+}
+
+/* A report of the Raptor is fresh. report: enum vehicle_report. timeout: enum parameter_index. */
+static bool reported(const obc *self, uint32_t report, uint32_t timeout)
+{
+    return vehicle_feedback_age_ms(&self->vehicle, report, self->io.now_us) <= integer(self, timeout);
+}
+
+/* The wheels stand, and nothing says that they slide: neither an old report nor locked wheels are a standstill. */
 static bool standing_still(const obc *self)
 {
-    return self->vehicle.control.wheel_speed <= real(self, PARAMETER_STANDSTILL_SPEED);
+    const control_estimate motion = estimate(self);
+    return reported(self, VEHICLE_WHEEL_SPEED, PARAMETER_WHEEL_SPEED_TIMEOUT) &&
+           self->vehicle.control.wheel_speed <= real(self, PARAMETER_STANDSTILL_SPEED) &&
+           !(motion.valid && fabsf(motion.vx) > CONTROL_SPEED_DISAGREEMENT);
 }
 
 /* The state machines let control move the car. */
 static bool driving(const obc *self)
 {
     return self->ssm_output.drive_allowed && ct_state_drives(self->ct_state);
-}
-
-static control_estimate estimate(const obc *self)
-{
-    return estimate_receiver_get(&self->estimate, integer(self, PARAMETER_ESTIMATE_TIMEOUT), self->io.now_us);
 }
 
 /* --- receive --- */
@@ -173,12 +183,14 @@ static void run_ssm(void *context)
     };
     ssm_step(&self->ssm, &input, &self->ssm_output);
 
+    /* What is not fresh moves nothing: 0 is no sys_state and no flag. */
+    const bool raptor_alive = reported(self, VEHICLE_MISC, PARAMETER_MISC_REPORT_TIMEOUT);
+    const bool flags_fresh = !self->conditions.present[FAULT_RACE_CONTROL_LOST];
     const ct_input ct = {
-        .sys_state = self->vehicle.sys_state,
-        .track_flag = self->vehicle.race_control.track_flag,
-        .vehicle_flag = self->vehicle.race_control.vehicle_flag,
-        .raptor_alive = vehicle_feedback_age_ms(&self->vehicle, VEHICLE_MISC, self->io.now_us) <=
-                        integer(self, PARAMETER_MISC_REPORT_TIMEOUT),
+        .sys_state = raptor_alive ? self->vehicle.sys_state : 0U,
+        .track_flag = flags_fresh ? self->vehicle.race_control.track_flag : 0U,
+        .vehicle_flag = flags_fresh ? self->vehicle.race_control.vehicle_flag : 0U,
+        .raptor_alive = raptor_alive,
         .configuration_accepted = self->parameters.verdict == PARAMETER_VERDICT_ACCEPTED,
         .nominal = self->ssm_output.state == SSM_NOMINAL,
         .full_brake = self->ssm_output.state == SSM_FULL_BRAKE,

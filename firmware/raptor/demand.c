@@ -62,6 +62,8 @@ static float choose_steer(const raptor_demand *self, const raptor_config *config
         return input->test_steer;
     case RAPTOR_SYS_DRIVING:
         return commands->steering_known ? commands->command.steer_motor_angle : self->steer;
+    case RAPTOR_SYS_SHUT_ENG:
+    case RAPTOR_SYS_PWR_OFF:
     case RAPTOR_SYS_EMERGENCY_SHUTDOWN:
         /* A car that brakes in a turn still has to follow it, as long as somebody sane steers. At rest nothing
          * moves any more. */
@@ -105,7 +107,9 @@ void raptor_demand_step(raptor_demand *self, const raptor_config *config, const 
     self->brake = choose_brake(config, input);
     self->steer = choose_steer(self, config, input);
     self->steer_held = self->steer_held || input->steer_position_known;
-    self->throttle = state == RAPTOR_SYS_DRIVING && commands->faults == 0U && commands->throttle_known
+    /* The brake wins at once: a lost frame can leave an old throttle beside a new brake. */
+    const bool braked = self->brake > config->pedal_conflict_brake;
+    self->throttle = state == RAPTOR_SYS_DRIVING && commands->faults == 0U && commands->throttle_known && !braked
                          ? commands->command.throttle
                          : 0.0f;
     self->ignition = state == RAPTOR_SYS_CRANKING || state == RAPTOR_SYS_ENG_IDLE || state == RAPTOR_SYS_DRIVING;

@@ -39,9 +39,10 @@ void raptor_demand_init(raptor_demand *self);
 
 /* One tick.
  *
- * Throttle passes in DRIVING only, with no command fault present. The brake is the larger of the Raptor's own and
- * the onboard computer's; it is full before the first brake command, with any command fault, and in every state
- * that is a failure or an end. The gear follows in single steps, when the gearbox is ready.
+ * Throttle passes in DRIVING only, with no command fault present and the brake below pedal_conflict_brake. The brake is
+ * the larger of the Raptor's own and the onboard computer's; it is full before the first brake command, with any
+ * command fault, and in every state that is a failure or an end. The gear follows in single steps, when the gearbox is
+ * ready.
  */
 void raptor_demand_step(raptor_demand *self, const raptor_config *config, const raptor_demand_input *input,
                         uint64_t now_us);

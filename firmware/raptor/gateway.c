@@ -106,9 +106,12 @@ static void judge_axis(raptor_gateway_axis *axis, const raptor_config *config, u
     for (uint32_t i = 0; i < RAPTOR_GATEWAY_CHANNELS; i++) {
         raptor_gateway_channel *channel = &axis->channels[i];
         const bool overdue = codec_timed_out(&channel->position_rx, config->position_timeout_ms, since_us, now_us);
+        const bool status_overdue = codec_timed_out(&channel->status_rx, config->status_timeout_ms, since_us, now_us);
+        const bool errors_overdue = codec_timed_out(&channel->error_rx, config->status_timeout_ms, since_us, now_us);
         channel->valid = channel->position_rx.seen && channel->plausible && !overdue;
-        channel->faulty = overdue || (channel->position_rx.seen && !channel->plausible);
-        if (codec_timed_out(&channel->status_rx, config->status_timeout_ms, since_us, now_us)) {
+        channel->faulty =
+            overdue || (channel->position_rx.seen && !channel->plausible) || status_overdue || errors_overdue;
+        if (status_overdue) {
             channel->emergency_brake = false;
         }
         axis->valid_count = (uint8_t)(axis->valid_count + (channel->valid ? 1U : 0U));
@@ -159,8 +162,19 @@ void raptor_gateway_send_requests(raptor_gateway *self, float steer_motor_angle,
 {
     codec_status status;
 
+    /* The brake first: should the outbox be full, it is not the one that is lost. */
+    can_frame *frame = can_outbox_add(out, (uint8_t)CAN_BUS_3, SPACE_DRIVE_REQ_BRAKE_POS_FRAME_ID, 0, FRAME_BYTES);
+    if (frame != NULL) {
+        /* Clamping the released share gives 0, full brake, for NaN. */
+        const float released = codec_clamp(1.0f - brake_pressure / SPACE_DRIVE_BRAKE_STOP_PA, 0.0f, 1.0f, &status);
+        const struct space_drive_req_brake_pos_t message = {
+            .contrl_pos_brk = (uint16_t)lroundf(released * (float)SPACE_DRIVE_NEUTRAL),
+        };
+        (void)space_drive_req_brake_pos_pack(frame->data, &message, sizeof frame->data);
+        finish(frame, &self->brake_counter);
+    }
     if (self->steer.known) {
-        can_frame *frame = can_outbox_add(out, (uint8_t)CAN_BUS_3, SPACE_DRIVE_REQ_STEER_POS_FRAME_ID, 0, FRAME_BYTES);
+        frame = can_outbox_add(out, (uint8_t)CAN_BUS_3, SPACE_DRIVE_REQ_STEER_POS_FRAME_ID, 0, FRAME_BYTES);
         if (frame != NULL) {
             float share = codec_clamp(steer_motor_angle / SPACE_DRIVE_STEER_STOP_RAD, -1.0f, 1.0f, &status);
             if (status == CODEC_NOT_FINITE) {
@@ -174,16 +188,6 @@ void raptor_gateway_send_requests(raptor_gateway *self, float steer_motor_angle,
             (void)space_drive_req_steer_pos_pack(frame->data, &message, sizeof frame->data);
             finish(frame, &self->steer_counter);
         }
-    }
-    can_frame *frame = can_outbox_add(out, (uint8_t)CAN_BUS_3, SPACE_DRIVE_REQ_BRAKE_POS_FRAME_ID, 0, FRAME_BYTES);
-    if (frame != NULL) {
-        /* Clamping the released share gives 0, full brake, for NaN. */
-        const float released = codec_clamp(1.0f - brake_pressure / SPACE_DRIVE_BRAKE_STOP_PA, 0.0f, 1.0f, &status);
-        const struct space_drive_req_brake_pos_t message = {
-            .contrl_pos_brk = (uint16_t)lroundf(released * (float)SPACE_DRIVE_NEUTRAL),
-        };
-        (void)space_drive_req_brake_pos_pack(frame->data, &message, sizeof frame->data);
-        finish(frame, &self->brake_counter);
     }
 }
 

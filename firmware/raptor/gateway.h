@@ -23,7 +23,7 @@ typedef struct raptor_gateway_channel {
     float position;       /* rad or Pa, of the last plausible frame */
     bool plausible;       /* the last position frame said so */
     bool valid;           /* plausible and fresh */
-    bool faulty;          /* said to be implausible, or overdue: not just not heard of yet */
+    bool faulty;          /* said to be implausible, or one of its frames is overdue: not just not heard of yet */
     bool emergency_brake; /* fresh status frame with emr_brk */
     bool error;           /* last error frame had a bit set */
     bool critical;        /* last error frame had crtcl_err_recognzd set */

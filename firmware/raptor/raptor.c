@@ -18,12 +18,22 @@ typedef struct tick_context {
     can_outbox *out;
 } tick_context;
 
-/* A wheel speed that can be: 0 for NaN, bounded far above what the car can do. */
-static float tread_speed(float wheel_speed, float radius)
+/* Speeds at the tread, bounded far above what the car can do. A wheel whose sensor fails keeps its last speed: it must
+ * not look like one that stands. */
+static void take_wheel_speeds(raptor *self, const raptor_wired_in *wired)
 {
-    codec_status status;
-    const float speed = codec_clamp(wheel_speed * radius, -200.0f, 200.0f, &status);
-    return status == CODEC_NOT_FINITE ? 0.0f : speed;
+    self->wheel_speeds_valid = true;
+    for (uint32_t i = 0; i < 4U; i++) {
+        codec_status status;
+        const float radius = self->config.rolling_radius[i / 2U];
+        const float speed = codec_clamp(wired->wheel_speed[i] * radius, -200.0f, 200.0f, &status);
+        if (status == CODEC_NOT_FINITE) {
+            self->wheel_speeds_valid = false;
+        } else {
+            self->wheel_speed[i] = speed;
+        }
+    }
+    self->speed = 0.5f * (self->wheel_speed[0] + self->wheel_speed[1]);
 }
 
 static void receive(void *context)
@@ -35,10 +45,7 @@ static void receive(void *context)
         raptor_command_monitor_receive(&self->commands, &self->config, &tick->in[i], self->sys.state, tick->now_us);
         raptor_gateway_receive(&self->gateway, &tick->in[i], tick->now_us);
     }
-    for (uint32_t i = 0; i < 4U; i++) {
-        self->wheel_speed[i] = tread_speed(tick->wired->wheel_speed[i], self->config.rolling_radius[i / 2U]);
-    }
-    self->speed = 0.5f * (self->wheel_speed[0] + self->wheel_speed[1]);
+    take_wheel_speeds(self, tick->wired);
 }
 
 static void supervise(void *context)

@@ -83,7 +83,8 @@ typedef struct raptor {
     raptor_test test;
     raptor_demand demand;
     float speed;                             /* m/s, from the undriven wheels */
-    float wheel_speed[4];                    /* m/s at the tread */
+    float wheel_speed[4];                    /* m/s at the tread, of the last finite readings */
+    bool wheel_speeds_valid;                 /* all four read now */
     uint8_t report_counters[RAPTOR_REPORTS]; /* message counters of the reports, by row of their table */
 } raptor;
 

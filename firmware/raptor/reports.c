@@ -49,6 +49,7 @@ static uint16_t raw_u16(float value, float maximum, float scale)
     return (uint16_t)raw(value, 0.0f, maximum, scale);
 }
 
+/* The message has no word for a failed sensor, and a 0 would be taken for a standstill: silence tells. */
 static bool fill_wheel_speed(const report_source *source, uint8_t data[CAN_DATA_MAX])
 {
     const float *speed = source->self->wheel_speed;
@@ -58,7 +59,7 @@ static bool fill_wheel_speed(const report_source *source, uint8_t data[CAN_DATA_
         .wheel_speed_rl = raw_u16(speed[2] * kmh_per_mps, 340.0f, 0.1f),
         .wheel_speed_rr = raw_u16(speed[3] * kmh_per_mps, 340.0f, 0.1f),
     };
-    return raptor_wheel_speed_report_pack(data, &message, CAN_DATA_MAX) >= 0;
+    return source->self->wheel_speeds_valid && raptor_wheel_speed_report_pack(data, &message, CAN_DATA_MAX) >= 0;
 }
 
 static bool fill_brake_pressure(const report_source *source, uint8_t data[CAN_DATA_MAX])

@@ -122,6 +122,13 @@ def test_ct_report_counter_and_acknowledgements() -> None:
         }
 
 
+@pytest.mark.parametrize("limit", [0.0, -1.0e6, *NOT_FINITE])
+def test_a_pressure_limit_that_is_none_makes_nothing_of_no_brake(limit: float) -> None:
+    assert brake(Dbw(holding_brake_pressure=limit).step(mode=lib.DBW_HOLD)) == 6000
+    assert brake(Dbw(full_brake_pressure=limit).step(mode=lib.DBW_FULL_BRAKE)) == 6000
+    assert brake(Dbw(full_brake_pressure=limit, holding_brake_pressure=limit).step(mode=lib.DBW_HOLD)) == 6000
+
+
 @pytest.mark.parametrize("mode", [lib.DBW_FULL_BRAKE, 3, 255])
 def test_full_brake_and_modes_that_do_not_exist(mode: int) -> None:
     sent = Dbw().step(mode=mode, throttle=1.0, brake_pressure=0.0)

@@ -279,6 +279,37 @@ def test_without_a_plan_the_car_is_braked_straight_on() -> None:
     assert output.brake_pressure > 3e5
 
 
+@pytest.mark.parametrize(("wheel", "estimated"), [(0.0, 40.0), (40.0, 0.0), (1.0, 60.0), (60.0, 30.0)])
+def test_a_source_of_speed_that_hangs_does_not_make_the_car_run_away(wheel: float, estimated: float) -> None:
+    """Wheels that lock or a stuck sensor, and an estimate that hangs: the faster of the two counts."""
+    controls = Controls(straight())
+    controls.input.max_speed = 20.0
+    for _ in range(100):
+        controls.put(100.0, estimated)
+        controls.input.feedback.wheel_speed = wheel
+        controls.input.feedback.gear, controls.input.feedback.gear_shift_status = 3, lib.GEAR_SHIFT_READY
+        controls.input.feedback.engine_speed = 400.0
+        output = controls.step()
+    assert (output.throttle, output.brake_pressure > 0.0) == (0.0, True)
+    assert output.speed_error < 0.0
+
+
+@pytest.mark.parametrize("ends_in_stop", [False, True])
+def test_beyond_the_last_point_the_car_is_braked(ends_in_stop: bool) -> None:
+    """A planner that repeats an old plan drives nobody off its end."""
+    controls = Controls(straight())
+    controls.plan = make_plan(controls.course, 0.0, lambda _: 50.0, count=10, ends_in_stop=ends_in_stop)
+    controls.input.plan = controls.plan
+    end = float(controls.plan.points[9].s)
+    for s, brakes in ((end - 30.0, False), (end + 1.0, True), (end + 400.0, True)):
+        controls.put(s, 40.0)
+        controls.input.estimate.x = s
+        for _ in range(30):
+            output = controls.step()
+        assert (output.brake_pressure > 0.0) is brakes, s
+        assert output.lateral_valid
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_no_input_makes_a_command_leave_its_range(seed: int) -> None:
     print(f"seed {seed}")

@@ -46,7 +46,7 @@ def test_nobody_is_healthy_before_the_first_status() -> None:
 @pytest.mark.parametrize(
     ("code", "ok", "failed"),
     [(0, True, False), (64, False, False), (100, False, False), (128, False, False), (200, False, True),
-     (255, False, True), (1, False, False), (254, False, False)],
+     (255, False, True), (1, False, True), (127, False, True), (201, False, True), (254, False, True)],
 )  # fmt: skip
 def test_status_codes(code: int, ok: bool, failed: bool) -> None:
     nodes = Nodes()

@@ -269,6 +269,21 @@ def test_frames_that_are_no_commands_do_not_feed_the_supervision(disguise: str) 
     stopped(car)
 
 
+@pytest.mark.parametrize("lost", ["accelerator_cmd", ""])
+def test_the_brake_wins_over_the_throttle_at_once(lost: str) -> None:
+    """A full brake whose accelerator frame is lost leaves the old throttle standing: the engine must not push on."""
+    car = driving(accelerator=80.0)
+    car.computer.brake_kpa = 6000.0
+    car.computer.silent = {lost}
+    for _ in range(8):
+        car.tick()
+        assert (car.state, car.c.demand.brake) == (9, FULL_BRAKE)
+        assert car.drive.throttle_demand == 0.0
+    car.computer.brake_kpa, car.computer.silent = 0.0, set()
+    car.tick()
+    assert car.drive.throttle_demand == pytest.approx(0.8), "it comes back with the brake released"
+
+
 def test_throttle_passes_in_driving_only() -> None:
     for state in (1, 2, 3, 4, 5, 13, 6, 7, 8):
         car = car_in(state)
@@ -363,6 +378,21 @@ def test_under_emergency_the_steering_follows_a_sane_computer_while_the_car_move
     car.computer.steer_deg = -60.0
     car.run(5)
     assert car.c.demand.steer == pytest.approx(20 * DEG, abs=1e-6), "at rest nothing moves any more"
+
+
+def test_a_shutdown_of_a_rolling_car_leaves_it_steered() -> None:
+    car = driving(accelerator=0.0)
+    car.computer.ct_state = 11
+    car.run(10)
+    assert car.state in (10, 11)
+    car.computer.steer_deg = 20.0
+    car.run(2)
+    assert car.c.demand.steer == pytest.approx(20 * DEG, abs=1e-6)
+    car.run_until(11, 50)
+    car.computer.steer_deg = -20.0
+    car.run(2)
+    assert car.c.demand.steer == pytest.approx(-20 * DEG, abs=1e-6)
+    assert car.drive.throttle_demand == 0.0
 
 
 def test_under_emergency_without_a_computer_the_steering_is_kept() -> None:

@@ -107,6 +107,22 @@ def test_wheel_speeds_use_the_rolling_radii() -> None:
     assert speed == pytest.approx(sum(expected[:2]) / 2, abs=0.051)
 
 
+@pytest.mark.parametrize("wheel", range(4))
+@pytest.mark.parametrize("value", [NAN, INF, -INF])
+def test_a_failed_wheel_speed_sensor_silences_the_report_and_is_no_standstill(wheel: int, value: float) -> None:
+    """The message cannot say "failed", and 0 km/h would be a lie that stops nobody."""
+    car = fixed_car()
+    car.set_wheels(50.0)
+    car.run(5)
+    car.wired.wheel_speed[wheel] = value
+    for _ in range(20):
+        sent = car.tick()
+        assert sent.of("wheel_speed_report") == []
+        assert car.c.speed == pytest.approx(50.0)
+    car.set_wheels(0.0)
+    assert car.tick().value("wheel_speed_report", "wheel_speed_FL") == 0.0
+
+
 def test_the_rear_potentiometers_are_swapped_on_the_wire() -> None:
     car = fixed_car()
     for wheel in range(4):
@@ -260,9 +276,17 @@ def test_request_counts(
     gateway, outbox = ffi.new("raptor_gateway *"), Outbox()
     gateway.steer.known = True
     lib.raptor_gateway_send_requests(gateway, angle, pressure, speed, outbox.c)
-    steer, brake = outbox.take()
+    brake, steer = outbox.take()
     assert database.message("req_steer_pos").decode(steer.data)[:2] == (steer_counts, kmh)
     assert database.message("req_brake_pos").decode(brake.data)[0] == brake_counts
+
+
+def test_the_brake_request_is_the_last_one_to_be_lost() -> None:
+    gateway, outbox = ffi.new("raptor_gateway *"), Outbox(1)
+    gateway.steer.known = True
+    lib.raptor_gateway_send_requests(gateway, 0.0, 0.0, 0.0, outbox.c)
+    assert [frame.id for frame in outbox.take()] == [database.message("req_brake_pos").frame_id]
+    assert (outbox.c.dropped, gateway.brake_counter, gateway.steer_counter) == (1, 1, 0)
 
 
 def test_a_full_outbox_loses_frames_and_nothing_else() -> None:

@@ -9,6 +9,7 @@ import pytest
 from actuator_ecus import DEG, FULL_BRAKE, GREEN, ORANGE, RED, RUN_UP, YELLOW, Car, car_in, message_frame
 
 from bridge._native import lib
+from dbc.frames import FRAME_STRUCT
 
 EMERGENCY = 16
 EST1, EST2 = lib.RAPTOR_DIAG_EST1_FRONT_BRAKE, lib.RAPTOR_DIAG_EST2_REAR_BRAKE
@@ -308,6 +309,20 @@ def test_losing_one_channel_is_a_warning_only() -> None:
     assert car.state == 9
     row = sent.of("diagnostic_report")[-1]
     assert {name for name, value in row.items() if value} == {"sd_system_warning", "sd_brake_warning3"}
+
+
+@pytest.mark.parametrize("family", [0x60, 0x80])
+def test_error_or_status_frames_that_stop_are_a_warning(family: int) -> None:
+    """Who no longer says whether it brakes by itself is not healthy."""
+    car = driving()
+    for _ in range(40):
+        car._to_raptor = [f for f in car._to_raptor if FRAME_STRUCT.unpack(f)[1] & ~7 != family]
+        sent = car.tick()
+    assert car.state == 9
+    row = sent.of("diagnostic_report")[-1]
+    assert {name for name, value in row.items() if value} == {
+        "sd_system_warning", *(f"sd_{axis}_warning{n}" for axis in ("brake", "steer") for n in (1, 2, 3)),
+    }  # fmt: skip
 
 
 def test_a_space_drive_that_never_speaks_is_reported_once_it_is_overdue() -> None:
