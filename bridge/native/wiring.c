@@ -2,9 +2,6 @@
 
 #include <stddef.h>
 
-/* A potentiometer reads the spring's deflection under the wheel's load. Spring rate: AWSIM, AV-21. */
-static const double SPRING_RATE = 2.0e5; /* N/m */
-
 /* The plant models the main battery; the Space Drive's second one is a charged lead battery that nothing drains. */
 static const float BACKUP_BATTERY = 12.8f; /* V */
 
@@ -18,7 +15,7 @@ void wiring_sense(const double *outputs, raptor_wired_in *raptor_in, space_drive
     for (size_t wheel = 0; wheel < 4; wheel++) {
         raptor_in->wheel_speed[wheel] = (float)outputs[PLANT_OUT_WHEEL_SPEED_FL + wheel];
         raptor_in->wheel_load[wheel] = (float)outputs[PLANT_OUT_WHEEL_LOAD_FL + wheel];
-        raptor_in->suspension_travel[wheel] = (float)(outputs[PLANT_OUT_WHEEL_LOAD_FL + wheel] / SPRING_RATE);
+        raptor_in->suspension_travel[wheel] = (float)(outputs[PLANT_OUT_WHEEL_LOAD_FL + wheel] / WIRING_SPRING_RATE);
         raptor_in->tyre_temperature[wheel] = (float)outputs[PLANT_OUT_TYRE_TEMPERATURE_FL + wheel];
         raptor_in->tyre_pressure[wheel] = (float)outputs[PLANT_OUT_TYRE_PRESSURE_FL + wheel];
     }

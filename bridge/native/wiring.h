@@ -81,6 +81,10 @@ enum plant_input {
     PLANT_IN_COUNT
 };
 
+/* N/m, spring of one corner in the AV-21 model of AWSIM. The plant has no suspension: a potentiometer reads the wheel's
+ * load over this rate, which is the travel from full droop if wheel and spring move alike (motion ratio 1, ours). */
+enum { WIRING_SPRING_RATE = 200000 };
+
 /* Sense the plant. outputs: PLANT_OUT_COUNT values; a value that its wire cannot hold becomes 0.
  * raptor_in: switches and race control stay as they are. */
 void wiring_sense(const double *outputs, raptor_wired_in *raptor_in, space_drive_wired_in *space_drive_in);

@@ -62,6 +62,9 @@ ERRORS_B = GnssErrors(
 class Gnss:
     """One receiver: emits quality, attitude, velocity and position every 50 ms.
 
+    Height is the road's where the plant measures it, along its middle: it climbs with the grade, and so does the
+    velocity. What the car gains by moving up or down a bank is left out of both.
+
     Parameters
     ----------
     name : ``a`` or ``b``, as in the names of its messages.
@@ -103,8 +106,10 @@ class Gnss:
         errors = self._errors
         east, north, up, v_east, v_north, v_up, yaw = self._noise.next()
         cosine, sine = math.cos(truth.yaw), math.sin(truth.yaw)
-        across = truth.vy * math.cos(truth.roll)  # vy is in the road plane, which banks
-        latitude, longitude, height = self._frame.geodetic(truth.x + east, truth.y + north, up)
+        # Velocity is in the road plane, which banks and climbs.
+        along = truth.vx * math.cos(truth.road_pitch)
+        across = truth.vy * math.cos(truth.road_roll)
+        latitude, longitude, height = self._frame.geodetic(truth.x + east, truth.y + north, truth.z + up)
         counter = self._counter
         self._counter = (counter + 1) & 0xFF
         std_up = math.hypot(errors.height_white, errors.height_drift)
@@ -112,9 +117,9 @@ class Gnss:
             (
                 self._position.frame(latitude, longitude),
                 self._velocity.frame(
-                    truth.vx * cosine - across * sine + v_east,
-                    truth.vx * sine + across * cosine + v_north,
-                    truth.vy * math.sin(truth.roll) + v_up,
+                    along * cosine - across * sine + v_east,
+                    along * sine + across * cosine + v_north,
+                    -truth.vx * math.sin(truth.road_pitch) + v_up,
                     errors.velocity_white,
                     counter,
                 ),

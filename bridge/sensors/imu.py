@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,7 +33,8 @@ class ImuErrors:
 class Imu:
     """Emits imu_rates and imu_specific_force every tick.
 
-    Roll rate is the rate of the plant's roll; the plant is planar otherwise, so pitch rate is noise alone.
+    Its axes are those of the road under the car, in which the plant gives specific force and yaw rate; body roll and
+    pitch, one degree at most, do not turn them, but their rates are felt.
 
     Parameters
     ----------
@@ -52,23 +54,54 @@ class Imu:
         self._rates = database.message("imu_rates")
         self._force = database.message("imu_specific_force")
         self._counter = 0
-        self._last_roll: float | None = None
+        self._last: Truth | None = None
 
     def emit(self, truth: Truth) -> bytes:
         """Frames of this tick."""
-        roll_rate = 0.0 if self._last_roll is None else (truth.roll - self._last_roll) * (1e6 / PERIOD_US)
-        self._last_roll = truth.roll
+        roll_rate, pitch_rate = body_rates(truth, self._last or truth)
+        self._last = truth
         wx, wy, wz, fx, fy, fz = self._noise.next()
         counter = self._counter
         self._counter = (counter + 1) & 0xFF
         return self._rates.frame(
-            _saturate(roll_rate + wx, 6.5), wy, _saturate(truth.yaw_rate + wz, 6.5), counter
+            _saturate(roll_rate + wx, 6.5),
+            _saturate(pitch_rate + wy, 6.5),
+            _saturate(truth.yaw_rate + wz, 6.5),
+            counter,
         ) + self._force.frame(
             _saturate(truth.specific_force_x + fx, 65.0),
             _saturate(truth.specific_force_y + fy, 65.0),
             _saturate(truth.specific_force_z + fz, 65.0),
             counter,
         )
+
+
+def body_rates(truth: Truth, last: Truth) -> tuple[float, float]:
+    r"""Angular velocity about the car's forward and left axes.
+
+    With ISO 8855 angles (yaw, then pitch positive nose down, then roll positive left side up) the rates about the
+    turned axes are :math:`p = \dot\phi - \dot\psi \sin\theta` and
+    :math:`q = \dot\theta \cos\phi + \dot\psi \sin\phi \cos\theta` (Diebel, Representing Attitude, 2006, for this
+    sequence of angles). On a banked left turn roll is negative and so is q: the nose swings up along the road's normal.
+
+    Parameters
+    ----------
+    truth, last : motion in this tick and the one before; roll and pitch change linearly in between.
+
+    Returns
+    -------
+    tuple of float
+        Roll rate p and pitch rate q, rad/s.
+    """
+    per_second = 1e6 / PERIOD_US
+    roll, pitch = truth.road_roll, truth.road_pitch
+    heading_rate = truth.yaw_rate / math.cos(roll)  # about the vertical, as the plant turns the car
+    roll_rate = (truth.roll - last.roll) * per_second
+    pitch_rate = (truth.pitch - last.pitch) * per_second
+    return (
+        roll_rate - heading_rate * math.sin(pitch),
+        pitch_rate * math.cos(roll) + heading_rate * math.sin(roll) * math.cos(pitch),
+    )
 
 
 def _saturate(value: float, limit: float) -> float:

@@ -6,17 +6,20 @@ import math
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
-from bridge.sensors.gnss import ERRORS_A, ERRORS_B, Gnss
-from bridge.sensors.imu import Imu, ImuErrors
+from bridge.sensors.gnss import ERRORS_A, ERRORS_B, Gnss, GnssErrors
+from bridge.sensors.imu import Imu, ImuErrors, body_rates
 from bridge.sensors.noise import BLOCK, DriftingNoise
 from bridge.sensors.suite import SensorSuite
 from bridge.sensors.truth import Truth, TruthReader
 from bridge.sensors.wgs84 import TrackFrame
 from dbc.codec import database
 from dbc.frames import iterate
+from plant_fmu.driver import Plant
 
 SEED = 1729
+QUIET = ImuErrors(0.0, 0.0, 0.0, 0.0)
 
 
 class Origin:
@@ -24,7 +27,8 @@ class Origin:
 
 
 TRUTH = Truth(
-    x=-215.3, y=261.2, yaw=-2.5, vx=60.0, vy=-0.4, yaw_rate=0.25, roll=0.02,
+    x=-215.3, y=261.2, z=7.0, yaw=-2.5, vx=60.0, vy=-0.4, yaw_rate=0.25,
+    roll=0.005, pitch=0.002, body_roll=0.005, body_pitch=0.002,
     specific_force_x=1.0, specific_force_y=14.0, specific_force_z=11.0, distance=0.0,
 )  # fmt: skip
 
@@ -83,13 +87,54 @@ def test_imu_reads_truth_with_its_noise():
     assert np.diff(samples, axis=0).std(axis=0) / math.sqrt(2) == pytest.approx(white, rel=0.08)
 
 
-def test_imu_roll_rate_is_the_rate_of_roll():
-    quiet = ImuErrors(0.0, 0.0, 0.0, 0.0)
-    imu = Imu(generator(), quiet)
+def test_imu_feels_the_body_roll_and_pitch():
+    imu = Imu(generator(), QUIET)
     imu.emit(TRUTH)
-    rates = decode(imu.emit(TRUTH._replace(roll=TRUTH.roll + 0.003)))["imu_rates"]
-    assert rates[0] == pytest.approx(0.3, abs=1e-4)
-    assert rates[1] == 0.0
+    moved = TRUTH._replace(roll=0.008, body_roll=0.008, pitch=0.001, body_pitch=0.001)
+    rates = decode(imu.emit(moved))["imu_rates"]
+    assert rates[:2] == pytest.approx([0.3, -0.1], abs=1e-4)
+
+
+def test_gyroscope_on_a_bank_and_a_grade_is_that_of_the_rotation_matrix():
+    rng = generator()
+    for _ in range(200):
+        yaw, pitch, roll = rng.uniform(-math.pi, math.pi), rng.uniform(-0.1, 0.1), rng.uniform(-0.5, 0.5)
+        yaw_rate, pitch_rate, roll_rate = rng.uniform(-0.5, 0.5, 3)
+        before, after = (
+            Rotation.from_euler("ZYX", [yaw + h * yaw_rate, pitch + h * pitch_rate, roll + h * roll_rate])
+            for h in (-0.5e-2, 0.5e-2)
+        )
+        expected = (before.inv() * after).as_rotvec() / 1e-2
+        # The plant's yaw rate is that about the road's normal, from the heading's rate on the bank alone.
+        still = {"body_roll": 0.0, "body_pitch": 0.0, "yaw_rate": yaw_rate * math.cos(roll)}
+        last = TRUTH._replace(pitch=pitch - 1e-2 * pitch_rate, roll=roll - 1e-2 * roll_rate, **still)
+        measured = body_rates(TRUTH._replace(pitch=pitch, roll=roll, **still), last)
+        assert measured == pytest.approx(expected[:2], abs=4e-3)
+
+
+def test_integrated_gyroscope_follows_the_attitude_through_a_banked_turn():
+    """What inertial navigation does with the three rates must give the attitude that the plant has."""
+    imu = Imu(generator(), QUIET)
+    start = {"v0": 40.0, "gear0": 4, "gear_demand": 4, "engine_running0": True, "ignition": True}
+    with Plant(start | {"road_bank": math.radians(9.0)}) as car:
+        names = TruthReader(list(Truth._fields))
+        attitude, rates, largest = None, np.zeros(3), 0.0
+        for tick in range(900):
+            bank = math.radians(9.0 + 11.0 * min(1.0, tick / 300.0))
+            steer = 1.0 * (min(1.0, tick / 200.0) * 40.0 / 233.1 * math.cos(bank) - float(car["yaw_rate"]))
+            car.step(steer_motor_demand=0.25 + steer, throttle_demand=0.4, road_bank=bank)
+            truth = names.read([float(car[name]) for name in Truth._fields])
+            last, rates = rates, np.array(decode(imu.emit(truth))["imu_rates"][:3])
+            true = Rotation.from_euler("ZYX", [truth.yaw, truth.pitch, truth.roll])
+            if attitude is None:
+                attitude = true
+                continue
+            # p and q are means over the tick but for their heading part; the yaw rate is taken as its mean.
+            attitude = attitude * Rotation.from_rotvec(0.01 * np.array([*rates[:2], 0.5 * (last[2] + rates[2])]))
+            largest = max(largest, (attitude.inv() * true).magnitude())
+        assert truth.yaw > 1.0, "no turn"
+        assert truth.roll < math.radians(-19.0)
+        assert largest < 0.005
 
 
 def test_imu_saturates_instead_of_wrapping():
@@ -124,6 +169,33 @@ def test_gnss_errors_have_the_reported_deviation(name: str, errors):
     true_east = TRUTH.vx * math.cos(TRUTH.yaw) - TRUTH.vy * math.sin(TRUTH.yaw)
     assert np.mean(v_east) == pytest.approx(true_east, abs=0.02)
     assert np.std(v_east) == pytest.approx(errors.velocity_white, rel=0.25)
+
+
+def test_gnss_climbs_with_the_grade_and_not_with_the_bank():
+    silent = GnssErrors(*[0.0] * 7)
+    receiver = Gnss("a", Origin(), generator(), silent)
+    start = {"v0": 40.0, "road_grade": math.radians(3.0), "road_bank": math.radians(9.0)}
+    names = TruthReader(list(Truth._fields))
+    with Plant(start | {"oval_asymmetry": 0.0}) as car:
+        climbed, last, first = 0.0, None, None
+        for tick in range(200):
+            car.step()
+            truth = names.read([float(car[name]) for name in Truth._fields])
+            if tick % 5:
+                continue
+            messages = decode(receiver.emit(truth))
+            height, speed = messages["gnss_a_attitude"][2], messages["gnss_a_velocity"][:3]
+            assert math.hypot(*speed) == pytest.approx(truth.vx, rel=2e-3)
+            assert math.atan2(speed[2], math.hypot(*speed[:2])) == pytest.approx(math.radians(3.0), abs=1e-3)
+            if last is None:
+                first = height
+            else:
+                climbed += 0.05 * 0.5 * (last + speed[2])
+            last = speed[2]
+        assert climbed > 3.0
+        # The Earth's curvature adds s^2 / 2R, less than a millimetre here.
+        assert height - first == pytest.approx(climbed, abs=5e-3)
+        assert abs(truth.vy) > 0.05, "the bank does not act"
 
 
 def test_gnss_heading_wraps_at_pi():
