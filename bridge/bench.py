@@ -28,7 +28,7 @@ from bridge.sensors.truth import TruthReader
 from bridge.tap import Taps
 from bridge.wiring import Wiring
 from dbc.codec import database
-from dbc.errors import ConfigurationError, PlantError
+from dbc.errors import ConfigurationError, PlantError, StartValueError
 from dbc.frames import Bus, Station
 from firmware.parameters import parameter_frames
 from plant_fmu import fmu_path
@@ -152,21 +152,10 @@ class Bench:
         if isinstance(scenario, Path):
             scenario = load_scenario(scenario)
         road = road_factory(scenario.track)
-        autonomy = autonomy_factory(scenario, road)
         parameters = parameter_frames(scenario.operation)
-        x, y, yaw = road.pose_at(scenario.start_s_m, scenario.start_d_m)
-        bank, grade = road.road_at_station(scenario.start_s_m)
-        start = load_vehicle(scenario.vehicle) | {
-            "x0": x,
-            "y0": y,
-            "yaw0": yaw,
-            "v0": 0.0,
-            "road_bank": bank,
-            "road_grade": grade,
-        }
-        plant = Plant(_fmu_of(scenario), start)
+        plant = _plant_of(scenario, road)
         try:
-            bench = cls(plant, road, autonomy, scenario, parameters, taps)
+            bench = cls(plant, road, autonomy_factory(scenario, road), scenario, parameters, taps)
             if folder is not None:
                 bench.record_to(folder)
         except BaseException:
@@ -346,6 +335,17 @@ def _collector_paused() -> Iterator[None]:
     finally:
         if was_enabled:
             gc.enable()
+
+
+def _plant_of(scenario: Scenario, road: Road) -> Plant:
+    """The car of a scenario where it starts."""
+    x, y, yaw = road.pose_at(scenario.start_s_m, scenario.start_d_m)
+    bank, grade = road.road_at_station(scenario.start_s_m)
+    pose = {"x0": x, "y0": y, "yaw0": yaw, "v0": 0.0, "road_bank": bank, "road_grade": grade}
+    try:
+        return Plant(_fmu_of(scenario), load_vehicle(scenario.vehicle) | pose)
+    except StartValueError as error:
+        raise ConfigurationError(scenario.vehicle, "", str(error)) from error
 
 
 def _fmu_of(scenario: Scenario) -> Path:

@@ -27,7 +27,7 @@ from fmpy.model_description import ModelVariable
 from numpy.typing import NDArray
 
 from bridge._native import lib
-from dbc.errors import PlantError
+from dbc.errors import PlantError, StartValueError
 
 
 def _names(prefix: str) -> tuple[str, ...]:
@@ -130,8 +130,10 @@ class Plant:
 
     Raises
     ------
+    StartValueError
+        When the FMU lacks a variable of `start` or refuses a value.
     PlantError
-        When the file is missing or no co-simulation FMU, lacks a variable, or refuses its start values.
+        When the file is missing or no co-simulation FMU, or lacks a required variable.
     """
 
     def __init__(
@@ -154,6 +156,9 @@ class Plant:
             for variable in description.modelVariables
             if variable.causality == "output" and _is_number(variable) and variable.name not in required_outputs
         ]
+        for name in start:
+            if name not in variables:
+                raise StartValueError(f"{path}: has no variable {name!r}, which is given a start value")
         starts = [(self._variable(variables, name, "parameter"), value) for name, value in start.items()]
         self.output_names = tuple(variable.name for variable in outputs)
         self.output_units = tuple(variable.unit or "" for variable in outputs)
@@ -173,7 +178,7 @@ class Plant:
                 run.get()
         except FMICallException as error:
             self._discard()
-            raise self._failed("cannot be initialised", error) from error
+            raise StartValueError(self._failed("cannot be initialised", error)) from error
         except PlantError:
             self._discard()
             raise

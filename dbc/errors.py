@@ -6,6 +6,7 @@
     +-- ConfigurationError        a YAML or DBC file: wrong key, type, value, or missing
     +-- CodecError                a value that a message cannot carry, or data that is not that message
     +-- PlantError                an FMU that cannot be loaded, lacks a variable or fails in a step
+    |   +-- StartValueError       an FMU that has not or refuses a start value
     +-- BusError                  a CAN interface that cannot be opened or used
 """
 
@@ -41,6 +42,10 @@ class CodecError(RaceloopError):
 
 class PlantError(RaceloopError):
     """An FMU cannot be loaded, lacks a variable or fails in a step."""
+
+
+class StartValueError(PlantError):
+    """An FMU lacks a variable that is given a start value, or refuses the value."""
 
 
 class BusError(RaceloopError):

@@ -35,7 +35,7 @@ def ticks(bench: Bench, count: int) -> None:
 
 def test_everyone_speaks_in_every_tick_in_the_order_of_the_design(scenario: Scenario):
     with build_bench(scenario) as bench:
-        ticks(bench, 5)
+        ticks(bench, 15)  # the configuration is through
         logged = bench.network.logged()
         bench.tick()
         frames = bench.network.log_view(logged)
@@ -47,7 +47,7 @@ def test_everyone_speaks_in_every_tick_in_the_order_of_the_design(scenario: Scen
             Station.RAPTOR,
             Station.SPACE_DRIVE,
         ]
-        assert np.all(frames["time_us"] // TICK_US == 5)
+        assert np.all(frames["time_us"] // TICK_US == 15)
 
 
 def test_senders_are_those_of_the_dbc_files(scenario: Scenario):

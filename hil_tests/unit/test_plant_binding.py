@@ -171,7 +171,7 @@ def test_missing_output_and_wrong_causality(tmp_path: Path):
 
 
 def test_unknown_start_value():
-    assert "no variable 'wings', which is needed as parameter" in refused(fmu_path(3), {"wings": 2.0})
+    assert "no variable 'wings', which is given a start value" in refused(fmu_path(3), {"wings": 2.0})
 
 
 def test_refused_start_value_gives_the_fmus_own_reason():

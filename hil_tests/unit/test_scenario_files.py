@@ -77,8 +77,11 @@ def test_everything_is_read(folder: Path):
 
 
 def test_another_fmu(folder: Path):
-    scenario = load_scenario(write(folder, changed("plant", value={"fmu": "my.fmu"})))
-    assert scenario.fmu == folder / "my.fmu"
+    path = write(folder, changed("plant", value={"fmu": "my.fmu"}))
+    with pytest.raises(ConfigurationError, match=r"plant\.fmu: no such file: my\.fmu"):
+        load_scenario(path)
+    (folder / "my.fmu").touch()
+    assert load_scenario(path).fmu == folder / "my.fmu"
 
 
 @pytest.mark.parametrize(
