@@ -209,7 +209,7 @@ static uint8_t dbw_mode(const obc *self)
     return driving(self) ? DBW_DRIVE : DBW_HOLD;
 }
 
-/* Control may accelerate only on a path, an estimate and a wheel speed that are fresh. */
+/* Control may brake less than the holding pressure only on a path, an estimate and a wheel speed that are fresh. */
 static bool inputs_fresh(const obc *self)
 {
     return self->control_output.lateral_valid && !self->conditions.present[FAULT_WHEEL_SPEED_MISSING] &&
@@ -238,7 +238,8 @@ static void run_dbw(void *context)
         .steer = steering_follows(self),
         .standing_still = standing_still(self),
         .road_wheel_angle = control->road_wheel_command,
-        .throttle = fresh ? control->throttle : 0.0f,
+        /* Control learns of a safe stop in the next tick; no throttle leaves in this one, and none during the stop. */
+        .throttle = fresh && !self->ssm_output.safe_stop ? control->throttle : 0.0f,
         .brake_pressure = brake_more ? holding : control->brake_pressure,
         .gear = control->gear,
         .acceleration = {motion.ax, motion.ay, self->estimate.vertical_acceleration},

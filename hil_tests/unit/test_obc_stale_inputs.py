@@ -103,3 +103,19 @@ def test_a_clock_that_is_set_back_makes_everything_old() -> None:
     harness.tick(b"")
     assert harness.state == lib.SSM_FULL_BRAKE
     assert (harness.brake_kpa, harness.throttle) == (6000, 0)
+
+
+def test_no_throttle_leaves_in_a_safe_stop_not_even_in_the_tick_that_begins_it() -> None:
+    harness = racing(speed=40.0)
+    harness.set_speed(20.0)
+    harness.signals["pt_report_1"] |= {"current_gear": 2, "engine_speed_rpm": 5000}
+    harness.run(40)
+    assert harness.throttle > 10
+    harness.node_codes[1] = 200
+    while harness.state != lib.SSM_EMERGENCY:
+        harness.tick()
+    for speed in (20.0, 5.0, 1.0, 0.4, 0.0):
+        harness.set_speed(speed)
+        for _ in range(20):
+            assert (harness.state, harness.throttle) == (lib.SSM_EMERGENCY, 0)
+            harness.tick()
