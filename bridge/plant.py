@@ -11,12 +11,13 @@ import shutil
 import zipfile
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from contextlib import chdir, suppress
 from functools import partial
 from itertools import groupby
 from pathlib import Path
 from types import TracebackType
 from typing import Any
+from xml.etree import ElementTree
 
 import fmpy
 import numpy as np
@@ -239,11 +240,11 @@ class Plant:
             "unzipDirectory": self._folder,
             "instanceName": "plant",
         }
+        with chdir(Path.cwd()):  # fmpy goes to the library's folder, and stays there when it does not load
+            fmu = fmi3.FMU3Slave(**options) if self._fmi3 else fmi2.FMU2Slave(**options)
         if self._fmi3:
-            fmu = fmi3.FMU3Slave(**options)
             fmu.instantiate(logMessage=self._log_fmi3, loggingOn=True)
         else:
-            fmu = fmi2.FMU2Slave(**options)
             callbacks = fmi2.fmi2CallbackFunctions()
             callbacks.logger = fmi2.fmi2CallbackLoggerTYPE(self._log_fmi2)
             callbacks.allocateMemory = fmi2.fmi2CallbackAllocateMemoryTYPE(fmi2.calloc)
@@ -315,12 +316,16 @@ def _read_description(path: Path) -> Any:
     if not zipfile.is_zipfile(path):
         raise PlantError(f"{path}: not an FMU: no ZIP archive")
     try:
+        with zipfile.ZipFile(path) as archive:
+            version = ElementTree.fromstring(archive.read("modelDescription.xml")).get("fmiVersion", "unknown")
+        if not version.startswith(("2.", "3.")):
+            raise PlantError(f"{path}: FMI {version}; allowed are FMI 2 and 3")
         with path.open("rb") as file:  # fmpy would leave a broken one open
             description = fmpy.read_model_description(file, validate=False)
+    except PlantError:
+        raise
     except Exception as error:  # a broken archive or XML ends in many types; the user needs the file and a reason
         raise PlantError(f"{path}: not an FMU: {_one_line(error)}") from error
-    if not description.fmiVersion.startswith(("2.", "3.")):
-        raise PlantError(f"{path}: FMI {description.fmiVersion}; allowed are FMI 2 and 3")
     if description.coSimulation is None:
         raise PlantError(f"{path}: no co-simulation FMU; only co-simulation can be stepped")
     return description
