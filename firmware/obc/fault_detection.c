@@ -182,8 +182,8 @@ static void detect_vehicle(const fault_sources *sources, fault_conditions *condi
     set(conditions, FAULT_RACE_CONTROL_LOST,
         race_control_age_ms > milliseconds(sources, PARAMETER_RACE_CONTROL_TIMEOUT), race_control_age_ms);
     const uint8_t sys_state = sources->vehicle->sys_state;
-    set(conditions, FAULT_RAPTOR_EMERGENCY,
-        sys_state == SYS_EMERGENCY_SHUTDOWN || sys_state == SYS_CRITICAL_LIMIT_EXCEEDED, sys_state);
+    const bool emergency = sys_state == SYS_EMERGENCY_SHUTDOWN || sys_state == SYS_CRITICAL_LIMIT_EXCEEDED;
+    set(conditions, FAULT_RAPTOR_EMERGENCY, emergency || (sources->driving && sys_state != SYS_DRIVING), sys_state);
 }
 
 static void detect_diagnostic(const vehicle_diagnostic *diagnostic, fault_conditions *conditions)

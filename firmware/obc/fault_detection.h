@@ -30,6 +30,7 @@ typedef struct fault_sources {
     uint64_t launch_us; /* newest launch request; only meaningful with launch_seen */
     bool launch_seen;
     bool launch_wanted;
+    bool driving;           /* control moves the car */
     uint32_t control_task;  /* index of the control task in the executive's schedule */
     uint8_t dbw_violations; /* enum dbw_violation bits of the previous cycle */
 } fault_sources;

@@ -159,6 +159,7 @@ static void run_monitor(void *context)
         .launch_us = self->launch.rx.last_valid_us,
         .launch_seen = self->launch.rx.seen,
         .launch_wanted = self->launch.wanted,
+        .driving = driving(self),
         .control_task = OBC_TASK_CONTROL,
         .dbw_violations = self->dbw_violations,
     };

@@ -1,5 +1,6 @@
 #include "raptor/raptor.h"
 
+#include <math.h>
 #include <stddef.h>
 #include <string.h>
 
@@ -94,11 +95,18 @@ static void step_test(raptor *self, const raptor_wired_in *wired, uint64_t now_u
     raptor_test_step(&self->test, &self->config, &input, now_us);
 }
 
+/* The actuation test sweeps the wheels and lets the brake go: only on a car that stands and is known to. */
+static bool subsystems_ready(const raptor *self)
+{
+    return raptor_gateway_ready(&self->gateway) && raptor_command_monitor_alive(&self->commands) &&
+           self->wheel_speeds_valid && fabsf(self->speed) < self->config.standstill_speed;
+}
+
 static void step_sys_state(raptor *self, const raptor_wired_in *wired, uint64_t now_us)
 {
     const uint8_t before = self->sys.state;
     const raptor_sys_input input = {
-        .subsystems_ready = raptor_gateway_ready(&self->gateway) && raptor_command_monitor_alive(&self->commands),
+        .subsystems_ready = subsystems_ready(self),
         .emergency = self->commands.faults != 0U || (self->diagnostic.bits & RAPTOR_DIAG_TRIGGERS) != 0U,
         .track_flag_valid = wired->race_control.linked,
         .track_flag = wired->race_control.track_flag,

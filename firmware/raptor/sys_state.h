@@ -18,7 +18,7 @@ enum raptor_test_result {
 
 /* Everything that one step reads. */
 typedef struct raptor_sys_input {
-    bool subsystems_ready; /* all six Space Drive positions valid, onboard computer alive */
+    bool subsystems_ready; /* six Space Drive positions valid, onboard computer alive, car at rest */
     bool emergency;        /* an emergency-stop trigger or a command fault is present */
     bool track_flag_valid; /* race control is linked */
     uint8_t track_flag;    /* enum raptor_track_flag */

@@ -147,6 +147,8 @@ CASES: list[tuple[str, str, Provoke]] = [
     *(("sd_warning", bit, signal("diagnostic_report", **{bit: 1})) for bit in WARNING_BITS),
     ("motec_warning", "value", signal("diagnostic_report", motec_warning=3)),
     *((fault, bit, signal("diagnostic_report", **{bit: 1})) for fault, bit in DIAGNOSTIC.items()),
+    ("raptor_emergency", "restarted", signal("misc_report", sys_state=1)),
+    ("raptor_emergency", "engine off", signal("misc_report", sys_state=10)),
     ("race_control_lost", "silent", silent("base_to_car_summary")),
     ("race_control_lost", "frozen", signal("base_to_car_summary", base_to_car_heartbeat=3)),
 ]

@@ -69,6 +69,20 @@ def test_wheels_found_turned_are_held_until_the_test() -> None:
         assert car.space_drive.drive.steer_motor_demand == pytest.approx(0.9, abs=3e-4)
 
 
+@pytest.mark.parametrize("speed", [1.0, 60.0, -1.0, math.nan])
+def test_a_rolling_car_is_not_tested(speed: float) -> None:
+    """After a loss of power at speed nobody sweeps the wheels or lets the brake go."""
+    car = car_in(2)
+    car.computer.ct_state, car.wired.safety_switch = 2, 4
+    car.set_wheels(speed)
+    for _ in range(300):
+        car.tick()
+        assert car.state == 2
+        assert car.c.demand.brake >= lib.raptor_config_default.brake_hold
+    car.set_wheels(0.0)
+    car.run_until(4)
+
+
 def test_the_actuation_test_sweeps_both_ways_and_pulses_the_brake() -> None:
     car = car_in(3)
     steer, brake = [], []
