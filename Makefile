@@ -22,7 +22,8 @@ help: ## Show this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
 
 $(BIN)/python:
-	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo 'raceloop needs Python 3.11 or newer; set PYTHON=python3.x'; exit 2; }
+	@command -v "$${CC:-cc}" >/dev/null || { echo 'raceloop needs a C compiler: apt install gcc'; exit 2; }
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || { echo 'raceloop needs Python 3.11 or newer; set PYTHON=python3.x'; exit 2; }
 	@$(PYTHON) -c 'import ensurepip, sysconfig, os; assert os.path.exists(os.path.join(sysconfig.get_path("include"), "Python.h"))' 2>/dev/null \
 	  || { echo 'raceloop needs the venv module and the headers of Python: apt install python3-venv python3-dev'; exit 2; }
 	$(PYTHON) -m venv $(VENV)
@@ -42,7 +43,7 @@ build: $(VENV)/.dependencies $(VENV)/.built ## Compile codec, firmware, FMUs and
 
 .PHONY: run
 run: build ## Drive the scenario (SCENARIO=FILE, default the solo lap) and write the recordings to OUT=out
-	$(BIN)/raceloop run $(SCENARIO) --out $(OUT)
+	$(BIN)/raceloop run $(if $(SCENARIO),'$(SCENARIO)') --out '$(OUT)'
 
 .PHONY: test
 test: build ## Run all tests
@@ -93,4 +94,4 @@ coverage: .venv-coverage/.built ## Line and branch coverage of the SSM, the para
 
 .PHONY: clean
 clean: ## Remove everything that was built
-	rm -rf build .venv .venv-coverage out
+	rm -rf build .venv .venv-coverage .mypy_cache .ruff_cache out
