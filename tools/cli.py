@@ -16,7 +16,7 @@ from tools.exit_status import ExitStatus
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; returns the exit status."""
-    options = _parser().parse_args(arguments)
+    options = make_parser().parse_args(arguments)
     console = Console(highlight=False, soft_wrap=not sys.stdout.isatty())
     try:
         return _dispatch(options, console)
@@ -44,7 +44,8 @@ def _dispatch(options: argparse.Namespace, console: Console) -> int:
     return bench(console, options.repeats, options.simulated_s)
 
 
-def _parser() -> argparse.ArgumentParser:
+def make_parser() -> argparse.ArgumentParser:
+    """Make the parser of the command line."""
     parser = argparse.ArgumentParser(
         prog="raceloop",
         description="Hardware-in-the-loop CAN bench for autonomous race cars",
