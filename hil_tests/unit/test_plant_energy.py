@@ -122,6 +122,23 @@ def test_temperatures_follow_the_work() -> None:
         assert car["battery_voltage"] == pytest.approx(13.9, rel=1e-2)
 
 
+def test_tyre_pressure_follows_its_temperature_at_constant_volume() -> None:
+    with Plant({"ambient_temperature": 10.0, "tyre_temperature0": 10.0}) as car:
+        for axle, wheels in (("front", ("fl", "fr")), ("rear", ("rl", "rr"))):
+            for wheel in wheels:
+                assert car[f"tyre_pressure_{wheel}"] == pytest.approx(float(car[f"tyre_cold_pressure_{axle}"]))
+    start = {"engine_running0": True, "ignition": True, "v0": 50.0, "gear0": 5, "gear_demand": 5}
+    with Plant({**start, "tyre_cold_pressure_front": 2.1e5, "tyre_cold_pressure_rear": 1.9e5}) as car:
+        density = {wheel: float(car[f"tyre_pressure_{wheel}"]) / (40.0 + 273.15) for wheel in WHEELS}
+        car.step(60.0, throttle_demand=0.6, steer_motor_demand=0.1)
+        for wheel in WHEELS:
+            kelvin = float(car[f"tyre_temperature_{wheel}"]) + 273.15
+            assert kelvin > 45.0 + 273.15
+            assert float(car[f"tyre_pressure_{wheel}"]) / kelvin == pytest.approx(density[wheel], rel=1e-12)
+        cold = 25.0 + 273.15
+        assert [density[w] * cold for w in WHEELS] == pytest.approx([2.1e5, 2.1e5, 1.9e5, 1.9e5])
+
+
 def test_battery_drops_while_cranking() -> None:
     with Plant() as car:
         rest = float(car["battery_voltage"])

@@ -69,6 +69,17 @@ def test_grade_adds_gravity(grade: float) -> None:
         )
 
 
+@pytest.mark.parametrize("grade", [-0.05, 0.05])
+def test_height_is_that_of_the_grade(grade: float) -> None:
+    with Plant({**SYMMETRIC, "v0": 30.0, "road_grade": grade, "road_bank": 0.2}) as car:
+        car.step(1.0)
+        x, z = float(car["x"]), float(car["z"])
+        assert z == pytest.approx(30.0 * math.sin(grade), rel=0.05)
+        car.step(0.2, road_grade=0.0)
+        assert z == float(car["z"])
+        assert float(car["x"]) > x
+
+
 def test_brake_distance_follows_the_closed_form() -> None:
     with Plant({**SYMMETRIC, "v0": 40.0}) as car:
         pressure = 1.5e6

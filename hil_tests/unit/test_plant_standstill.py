@@ -49,6 +49,23 @@ def test_holds_on_a_bank_with_the_brake(bank_deg: float) -> None:
         assert float(car[f"wheel_load_f{low}"]) > float(car[f"wheel_load_f{high}"])
 
 
+@pytest.mark.parametrize("bank_deg", [9.0, 20.0])
+def test_an_hour_on_a_bank_with_the_brake_moves_the_car_by_the_give_of_its_tyres(bank_deg: float) -> None:
+    """What the car settles at first is the deflection that carries the slope; there is no creep on top."""
+    bank = math.radians(bank_deg)
+    with Plant({"road_bank": bank}, step_s=1.0) as car:
+        car.step(10.0, brake_pressure_demand=2e6)
+        settled = (float(car["x"]), float(car["y"]), float(car["yaw"]))
+        # Each tyre is a spring of its cornering stiffness over its relaxation length; the four carry the slope.
+        nominal, load = float(car["tyre_nominal_load"]), 790.0 * 9.81 * math.cos(bank) / 4.0
+        stiffness = nominal * float(car["tyre_pky1"]) * math.sin(2.0 * math.atan(load / (4.1265 * nominal)))
+        give = 790.0 * 9.81 * math.sin(bank) * float(car["tyre_relaxation_y"]) / (4.0 * stiffness)
+        assert math.hypot(*settled[:2]) == pytest.approx(give, rel=0.08)
+        car.step(3590.0)
+        assert math.hypot(float(car["x"]), float(car["y"])) < 0.005
+        assert (car["x"], car["y"], car["yaw"]) == pytest.approx(settled, abs=1e-9)
+
+
 def test_slides_down_an_icy_bank() -> None:
     """The hold is friction, not glue."""
     with Plant({"road_bank": math.radians(20.0), "road_friction": 0.1}) as car:
