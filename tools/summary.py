@@ -129,8 +129,7 @@ def show_summary(summary: Mapping[str, Any], console: Console) -> None:
     inside, left = summary["yaw_error_share_in_band"], summary["cross_track_share_left"]
     if inside is not None:
         console.print(
-            f"Yaw error within {YAW_BAND_RAD} rad: {inside:.1%} (paper 97 %);"
-            f" left of the path: {left:.1%} (87 %)"
+            f"Yaw error within {YAW_BAND_RAD} rad: {inside:.1%} (paper 97 %); left of the path: {left:.1%} (87 %)"
         )
     console.print()
     console.print(_bus_table(summary["buses"]), width=WIDTH)
