@@ -13,10 +13,11 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import chdir, suppress
 from functools import partial
-from itertools import groupby
+from itertools import count, groupby
 from pathlib import Path
 from types import TracebackType
 from typing import Any
+from weakref import WeakValueDictionary
 from xml.etree import ElementTree
 
 import fmpy
@@ -114,6 +115,21 @@ class _Run:
             self._array[:] = self._buffer
 
 
+# fmpy's logger proxy keeps one FMI 2 callback for the whole process, and calls it for every instance ever made: it has
+# to outlive them all, and find out by name whose message it is.
+_NUMBERS_OF_INSTANCES = count()
+_MESSAGES: WeakValueDictionary[bytes, deque[str]] = WeakValueDictionary()
+
+
+def _log_fmi2(_environment: Any, name: bytes, _status: int, _category: bytes, message: bytes) -> None:
+    messages = _MESSAGES.get(name)
+    if messages is not None:
+        messages.append(message.decode("utf-8", "replace"))
+
+
+_LOGGER = fmi2.fmi2CallbackLoggerTYPE(_log_fmi2)
+
+
 class Plant:
     """One instance of an FMU, initialised and ready to step.
 
@@ -146,7 +162,9 @@ class Plant:
     ) -> None:
         self._path = path
         self._folder: str | None = None
+        self._name = f"plant {next(_NUMBERS_OF_INSTANCES)}"
         self._messages: deque[str] = deque(maxlen=1)
+        _MESSAGES[self._name.encode()] = self._messages
         description = _read_description(path)
         self._fmi3 = description.fmiVersion.startswith("3")
         variables = {variable.name: variable for variable in description.modelVariables}
@@ -238,7 +256,7 @@ class Plant:
             "guid": description.instantiationToken if self._fmi3 else description.guid,
             "modelIdentifier": co_simulation.modelIdentifier,
             "unzipDirectory": self._folder,
-            "instanceName": "plant",
+            "instanceName": self._name,
         }
         with chdir(Path.cwd()):  # fmpy goes to the library's folder, and stays there when it does not load
             fmu = fmi3.FMU3Slave(**options) if self._fmi3 else fmi2.FMU2Slave(**options)
@@ -246,7 +264,7 @@ class Plant:
             fmu.instantiate(logMessage=self._log_fmi3, loggingOn=True)
         else:
             callbacks = fmi2.fmi2CallbackFunctions()
-            callbacks.logger = fmi2.fmi2CallbackLoggerTYPE(self._log_fmi2)
+            callbacks.logger = _LOGGER
             callbacks.allocateMemory = fmi2.fmi2CallbackAllocateMemoryTYPE(fmi2.calloc)
             callbacks.freeMemory = fmi2.fmi2CallbackFreeMemoryTYPE(fmi2.free)
             addLoggerProxy(ctypes.byref(callbacks))  # expands printf formats before the callback sees them
@@ -289,9 +307,6 @@ class Plant:
             runs.append(_Run(self._fmu, call, members, values, place))
             place += len(members)
         return runs
-
-    def _log_fmi2(self, _environment: Any, _name: bytes, _status: int, _category: bytes, message: bytes) -> None:
-        self._messages.append(message.decode("utf-8", "replace"))
 
     def _log_fmi3(self, _environment: Any, _status: int, _category: bytes, message: bytes) -> None:
         self._messages.append(message.decode("utf-8", "replace"))
