@@ -9,12 +9,13 @@ from autonomy.localisation import Estimate, Localiser, Quality
 from autonomy.messages import EstimateWriter, Inbox, NodeWriter, PlanWriter
 from autonomy.planning import Planner
 from autonomy.race_path import RacePath
-from autonomy.status import NodeId, NodeStatus, SsmState
+from autonomy.status import NodeId, NodeStatus
 from autonomy.track import Track
 from autonomy.track_files import load_track
 from autonomy.vehicle import VehicleLimits, load_vehicle
 from dbc.errors import ConfigurationError
 from dbc.frames import Buffer
+from dbc.states import SsmState
 
 PLAN_PERIOD_US = 50_000
 

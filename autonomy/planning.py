@@ -15,8 +15,9 @@ import numpy as np
 from autonomy.frenet import FloatArray
 from autonomy.localisation import Estimate
 from autonomy.race_path import Path, RacePath
-from autonomy.status import CtState, Mission, SsmState, SsmStatus, VehicleFlag, VehicleStatus
+from autonomy.status import Mission, SsmStatus, VehicleStatus
 from autonomy.vehicle import VehicleLimits
+from dbc.states import CtState, SsmState, VehicleFlag
 
 POINTS = 32
 LONGEST_STEP = 5  # nodes of the path between two points

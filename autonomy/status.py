@@ -24,33 +24,6 @@ class NodeStatus(IntEnum):
     DEAD = 255
 
 
-class SsmState(IntEnum):
-    """States of the System Status Manager, as ssm_state."""
-
-    BOOT = 0
-    CONFIG_CHECK = 1
-    LAUNCHING = 2
-    NOMINAL = 3
-    DEGRADED = 4
-    EMERGENCY = 5
-    FULL_BRAKE = 6
-
-
-class CtState(IntEnum):
-    """States of the OBC in which the car may move, as obc_ct_state."""
-
-    INIT_DRIVING = 7
-    CAUTION = 8
-    NOM_RACE = 9
-    COORD_STOP = 10
-
-
-class VehicleFlag(IntEnum):
-    """Vehicle flags that planning obeys, as obc_veh_flag."""
-
-    CHEQUERED = 4
-
-
 class Mission(IntEnum):
     """What a plan is for, as plan_mission."""
 

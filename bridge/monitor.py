@@ -8,8 +8,8 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from bridge.states import CtState, SsmState, SysState
 from dbc.codec import database
+from dbc.states import CtState, SsmState, SysState
 
 
 @dataclass(frozen=True)

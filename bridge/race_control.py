@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any, Generic, Protocol, TypeVar
 
 from bridge.scenario import Condition, FlagStep, Situation, SwitchStep, Trigger
-from bridge.states import TrackFlag, VehicleFlag
+from dbc.states import TrackFlag, VehicleFlag
 
 #: The base station sends a telegram every 100 ms (MyLaps 2021/22, 10 Hz).
 TELEGRAM_PERIOD_US = 100_000

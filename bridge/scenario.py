@@ -12,9 +12,9 @@ from importlib import resources
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from bridge.states import CtState, SysState, TrackFlag, VehicleFlag
 from bridge.yaml_file import check_schema, read_yaml
 from dbc.errors import ConfigurationError
+from dbc.states import CtState, SysState, TrackFlag, VehicleFlag
 
 
 class Situation(NamedTuple):

@@ -25,8 +25,8 @@ from bridge.bus import BIT_RATES, CHANNELS
 from bridge.interfaces import Road
 from bridge.recorder import Recording
 from bridge.scenario import Scenario, load_scenario
-from bridge.states import CtState
 from dbc.errors import ConfigurationError, RaceloopError
+from dbc.states import CtState
 from firmware.parameters import Offence, decode_results, load_operation
 from firmware.tables import load_parameters
 from tools.check_params import show_rejected

@@ -13,10 +13,10 @@ import bridge
 from bridge._native import lib
 from bridge.bus import BIT_RATES
 from bridge.plant import REQUIRED_INPUTS, REQUIRED_OUTPUTS
-from bridge.states import CtState, SsmState, SysState, TrackFlag, VehicleFlag
 from dbc.codec import database
 from dbc.frames import Bus, Flag, Station
 from dbc.network import DATABASES, DIRECTORY
+from dbc.states import CtState, SsmState, SysState, TrackFlag, VehicleFlag
 from plant_fmu import fmu_path
 
 SCHEMA = json.loads((Path(bridge.__file__).parent / "schemas" / "scenario.schema.json").read_text())

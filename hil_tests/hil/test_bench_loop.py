@@ -15,11 +15,11 @@ from bridge.bench import TICK_US, Bench
 from bridge.monitor import RunMonitor
 from bridge.operator import Verdict
 from bridge.scenario import Condition, Scenario, load_scenario
-from bridge.states import SysState
 from dbc.codec import database
 from dbc.errors import ConfigurationError, PlantError, RaceloopError
 from dbc.frames import Bus, Station
 from dbc.network import DIRECTORY
+from dbc.states import SysState
 from tools.run import DEFAULT_SCENARIO, build_bench
 
 

@@ -14,9 +14,9 @@ import pytest
 from bridge._native import lib
 from bridge.bench import TICK_US, Bench
 from bridge.scenario import Condition, Scenario, load_scenario
-from bridge.states import CtState, SysState
 from dbc.codec import database
 from dbc.frames import Bus, Station
+from dbc.states import CtState, SysState
 from tools.run import DEFAULT_SCENARIO, build_bench
 
 FULL_BRAKE_KPA = 6000.0

@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 
 from autonomy.partition import AutonomyPartition
-from autonomy.status import Mission, NodeStatus, SsmState
+from autonomy.status import Mission, NodeStatus
 from autonomy.track_files import track_from_csv
 from autonomy.vehicle import VehicleLimits, load_vehicle
 from dbc.codec import database
 from dbc.errors import ConfigurationError
 from dbc.frames import FRAME_SIZE, Bus, Station, iterate
+from dbc.states import SsmState
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"
 TRACK, VEHICLE = SCENARIOS / "tracks" / "lvms.yaml", SCENARIOS / "vehicles" / "av21.yaml"

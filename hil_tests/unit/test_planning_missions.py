@@ -5,7 +5,8 @@ import itertools
 import pytest
 
 from autonomy.planning import choose_mission
-from autonomy.status import Mission, SsmState, SsmStatus, VehicleStatus
+from autonomy.status import Mission, SsmStatus, VehicleStatus
+from dbc.states import SsmState
 
 CT_STATES = [*range(13), 255]
 FLAGS = range(16)

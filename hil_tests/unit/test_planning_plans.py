@@ -10,9 +10,10 @@ import pytest
 from autonomy.localisation import Estimate, Quality
 from autonomy.planning import POINTS, Planner, PlannerSettings
 from autonomy.race_path import RacePath
-from autonomy.status import Mission, SsmState, SsmStatus, VehicleStatus
+from autonomy.status import Mission, SsmStatus, VehicleStatus
 from autonomy.track_files import load_track
 from autonomy.vehicle import VehicleLimits, load_vehicle
+from dbc.states import SsmState
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"
 SEED = 99

@@ -11,8 +11,8 @@ import yaml
 
 import scenarios
 from bridge.scenario import Condition, load_scenario, load_vehicle
-from bridge.states import CtState, SysState, TrackFlag, VehicleFlag
 from dbc.errors import ConfigurationError
+from dbc.states import CtState, SysState, TrackFlag, VehicleFlag
 
 GOOD: dict[str, Any] = {
     "name": "test",

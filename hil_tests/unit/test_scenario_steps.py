@@ -8,7 +8,7 @@ from bridge._native import ffi
 from bridge.laps import LapTimer
 from bridge.race_control import RaceControl, SafetySwitch
 from bridge.scenario import Condition, FlagStep, Situation, SwitchStep, Trigger
-from bridge.states import CtState, SysState, TrackFlag, VehicleFlag
+from dbc.states import CtState, SysState, TrackFlag, VehicleFlag
 
 NOW = Situation(
     time_us=5_000_000, sys_state=9, ct_state=8, distance_m=100.0, laps=1, standstill=False

@@ -13,7 +13,7 @@ from actuator_ecus import FULL_BRAKE, Requests, SpaceDrive, car_in
 from obc_harness import TICK_US, ObcHarness
 
 from bridge._native import ffi, lib
-from bridge.states import CtState, SysState
+from dbc.states import CtState, SysState
 from firmware.tables import LATCHES, REACTIONS
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "ssm.md").read_text()
