@@ -270,6 +270,9 @@ class FuzzedSpaceDrive:
         rate, wire_rate = generator.choice(RATES), generator.choice((0.0, 0.0, 0.002, 0.05))
         clock_rate = generator.choice((0.0, 0.0, 0.0, 0.01))
         healthy = generator.randrange(20)
+        sensors = [(axis, channel) for axis in ("steer_motor_angle", "brake_pressure") for channel in range(3)]
+        broken = generator.sample(sensors, generator.choice((0, 0, 1, 2, 3)))
+        self.stuck = {place: generator.choice((math.nan, math.inf, -1.0, 0.0, 2.0, 3.0e6)) for place in broken}
         for tick in range(ticks):
             disturbed = tick >= healthy
             self.disturber.rate = rate if disturbed else 0.0
@@ -282,6 +285,8 @@ class FuzzedSpaceDrive:
     def _tick(self, frames: list[bytes], wire_rate: float) -> None:
         drive = self.drive
         disturb_wires(self.generator, drive.wired, wire_rate)
+        for (axis, channel), value in self.stuck.items():
+            getattr(drive.wired, axis)[channel] = value
         array, count = frames_buffer(frames)
         lib.space_drive_tick(drive.c, drive.now_us, drive.wired, array, count, drive.drive, drive.outbox.c)
         self._check(self.judge.check(drive.outbox.take(), drive.outbox.c))
