@@ -123,8 +123,12 @@ class Network:
         # Rows of three words move several times as fast as records.
         words = log.view(np.uint64).reshape(-1, FRAME_SIZE // 8)
         ordered: NDArray[np.void] = words[np.argsort(log["time_us"], kind="stable")].reshape(-1).view(FRAME_DTYPE)
-        self.handle.log_count = 0
+        self.clear_log()
         return ordered
+
+    def clear_log(self) -> None:
+        """Forget the frames of the log."""
+        self.handle.log_count = 0
 
     @property
     def log_half_full(self) -> bool:

@@ -216,13 +216,14 @@ class PlainLoop:
         """
         started = time.perf_counter()
         sent = [
-            (bus, identifier, dict(zip(codec.signals, codec.decode(data), strict=True)))
+            (bus, identifier, codec.signals, codec.decode(data))
             for _time, identifier, bus, _dlc, _flags, _sender, data in FRAME_STRUCT.iter_unpack(frames)
             for codec in (self._codecs[bus, identifier],)
         ]
         self.unpacking_s += time.perf_counter() - started
-        for bus, identifier, values in sent:
+        for bus, identifier, signals, signal_values in sent:
             message = self._databases[bus].get_message_by_frame_id(identifier)
+            values = dict(zip(signals, signal_values, strict=True))
             self._buses[bus, station].send(
                 can.Message(
                     arbitration_id=identifier,
@@ -256,7 +257,7 @@ class PlainLoop:
                     self._states[state] = int(getattr(value, "value", value))
 
     def _observe(self) -> None:
-        self.truth = self._truth_reader.read(self.plant.outputs.tolist())
+        self.truth = self._truth_reader.read(self.plant.outputs)
         self._station, _ = self._road.project(self.truth.x, self.truth.y)
         self._laps.update(self.now_us, self._station)
         self._situation = Situation(

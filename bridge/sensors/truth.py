@@ -6,6 +6,9 @@ from collections.abc import Sequence
 from operator import itemgetter
 from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 
 class Truth(NamedTuple):
     """True motion of the centre of gravity. SI units, ISO 8855 vehicle axes, east-north-up track frame.
@@ -50,8 +53,10 @@ class TruthReader:
     """
 
     def __init__(self, names: Sequence[str]) -> None:
-        self._pick = itemgetter(*(list(names).index(field) for field in Truth._fields))
+        places = [list(names).index(field) for field in Truth._fields]
+        self._pick = itemgetter(*places)
+        self._end = max(places) + 1
 
-    def read(self, outputs: list[float]) -> Truth:
+    def read(self, outputs: NDArray[np.float64]) -> Truth:
         """Truth from the values of all outputs."""
-        return Truth._make(self._pick(outputs))
+        return Truth._make(self._pick(outputs[: self._end].tolist()))

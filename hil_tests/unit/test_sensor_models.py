@@ -123,7 +123,7 @@ def test_integrated_gyroscope_follows_the_attitude_through_a_banked_turn():
             bank = math.radians(9.0 + 11.0 * min(1.0, tick / 300.0))
             steer = 1.0 * (min(1.0, tick / 200.0) * 40.0 / 233.1 * math.cos(bank) - float(car["yaw_rate"]))
             car.step(steer_motor_demand=0.25 + steer, throttle_demand=0.4, road_bank=bank)
-            truth = names.read([float(car[name]) for name in Truth._fields])
+            truth = names.read(np.array([float(car[name]) for name in Truth._fields]))
             last, rates = rates, np.array(decode(imu.emit(truth))["imu_rates"][:3])
             true = Rotation.from_euler("ZYX", [truth.yaw, truth.pitch, truth.roll])
             if attitude is None:
@@ -180,7 +180,7 @@ def test_gnss_climbs_with_the_grade_and_not_with_the_bank():
         climbed, last, first = 0.0, None, None
         for tick in range(200):
             car.step()
-            truth = names.read([float(car[name]) for name in Truth._fields])
+            truth = names.read(np.array([float(car[name]) for name in Truth._fields]))
             if tick % 5:
                 continue
             messages = decode(receiver.emit(truth))
@@ -283,5 +283,5 @@ def test_receivers_are_independent():
 def test_truth_reader_picks_by_name():
     names = ["gear", *reversed(Truth._fields), "extra"]
     values = [float(place) for place in range(len(names))]
-    truth = TruthReader(names).read(values)
+    truth = TruthReader(names).read(np.array(values))
     assert truth == Truth(*(values[names.index(field)] for field in Truth._fields))
