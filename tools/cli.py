@@ -39,6 +39,10 @@ def _dispatch(options: argparse.Namespace, console: Console) -> int:
         from tools.check_params import check_params  # noqa: PLC0415
 
         return check_params(options.file, console)
+    if options.command == "replay":
+        from tools.replay import replay  # noqa: PLC0415
+
+        return replay(options.log, console)
     from tools.bench import bench  # noqa: PLC0415
 
     return bench(console, options.repeats, options.simulated_s)
@@ -67,6 +71,9 @@ def make_parser() -> argparse.ArgumentParser:
 
     check = commands.add_parser("check-params", help="let the firmware validate an operation configuration")
     check.add_argument("file", type=Path, help="YAML file")
+
+    replay = commands.add_parser("replay", help="replay a recorded log into a fresh onboard computer and compare")
+    replay.add_argument("log", type=Path, help="frames.log (candump) or frames.blf of a run, from power-on")
 
     bench = commands.add_parser("bench", help="measure the loop against the plain loop a user would write")
     bench.add_argument("--repeats", type=_count, default=5, help="pairs of runs (default: 5)")

@@ -8,7 +8,7 @@ class ExitStatus(IntEnum):
 
     DONE = 0
     MISSED = 1
-    """It ran, and missed its end: a scenario its finish, a measurement its target."""
+    """It ran, and missed its end: a scenario its finish, a measurement its target, a replay its likeness."""
     USER_ERROR = 2
     """A mistake in what the user gave; also argparse's."""
     INTERRUPTED = 130
