@@ -258,14 +258,15 @@ class Bench:
         finish = Trigger(until or self.scenario.finish)
         limit_us = self.scenario.time_limit_us if time_limit_us is None else time_limit_us
         pace = WallClockPace(rt_ratio) if rt_ratio is not None else None
-        while not finish.update(self.situation):
-            if self.now_us >= limit_us or self._held_for_good():
-                return False
-            if pace is not None:
-                pace.wait(self.now_us)
-            self.tick()
-            if on_progress is not None and self.now_us // TICK_US % _PROGRESS_TICKS == 0:
-                on_progress(Progress(self.situation, self.truth.vx, self.station))
+        with _collector_paused():
+            while not finish.update(self.situation):
+                if self.now_us >= limit_us or self._held_for_good():
+                    return False
+                if pace is not None:
+                    pace.wait(self.now_us)
+                self.tick()
+                if on_progress is not None and self.now_us // TICK_US % _PROGRESS_TICKS == 0:
+                    on_progress(Progress(self.situation, self.truth.vx, self.station))
         return True
 
     def finish(self) -> Recording | None:

@@ -59,7 +59,6 @@ class Network:
     def __init__(self, bit_rates: Mapping[Bus, int] = BIT_RATES) -> None:
         self.handle: Any = ffi.new("network *")
         lib.network_init(self.handle, [bit_rates[bus] for bus in Bus])
-        self._start_us = 0
         self._tick_us = 0
         self._elapsed_us = 0
 

@@ -126,7 +126,6 @@ class PlainLoop:
         self.frames = 0
         self.unpacking_s = 0.0
         self.now_us = 0
-        self._scenario = scenario
         self._road = road
         self._autonomy = autonomy
         self._databases: dict[Bus, Database] = {}

@@ -175,6 +175,9 @@ def test_the_loop_leaves_nothing_for_the_garbage_collector(scenario: Scenario):
     with build_bench(scenario) as bench:
         bench.run(until=Condition(time_us=8_000_000))
         gc.collect()
-        bench.run(until=Condition(time_us=12_000_000))
+        paused = []
+        bench.run(until=Condition(time_us=12_000_000), on_progress=lambda _: paused.append(not gc.isenabled()))
         assert gc.collect() == 0
         assert gc.isenabled()
+        assert len(paused) == 40
+        assert all(paused)
