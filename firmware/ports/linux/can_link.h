@@ -55,11 +55,11 @@ typedef struct can_link_statistics {
 /* A link: zero it before opening. */
 typedef struct can_link {
     int32_t fd;
-    uint8_t kind;  /* enum can_link_kind */
-    uint8_t state; /* enum can_link_state */
-    uint8_t bus;   /* enum can_bus */
-    bool stamps;   /* the kernel stamps frames */
-    int32_t last_error;       /* errno of the newest failure */
+    uint8_t kind;       /* enum can_link_kind */
+    uint8_t state;      /* enum can_link_state */
+    uint8_t bus;        /* enum can_bus */
+    bool stamps;        /* the kernel stamps frames */
+    int32_t last_error; /* errno of the newest failure */
     uint64_t epoch_ns;
     uint64_t last_receive_ns; /* when receive last looked; a stamp cannot lie before the one before */
     uint64_t retry_ns;        /* earliest time of the next attempt to come up again */

@@ -34,8 +34,8 @@ typedef struct cycle_record {
     uint16_t cpu;                        /* processor at wake_ns */
     uint16_t frames_in;
     uint16_t frames_out;
-    uint16_t refused;                    /* frames that the kernel did not take */
-    uint16_t tasks_run;                  /* bit n: task n ran */
+    uint16_t refused;   /* frames that the kernel did not take */
+    uint16_t tasks_run; /* bit n: task n ran */
     uint32_t reserved;
     uint16_t task_us[CYCLE_LOG_TASKS_MAX]; /* execution time of each task that ran, saturating */
 } cycle_record;

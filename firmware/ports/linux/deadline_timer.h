@@ -33,8 +33,8 @@ uint64_t monotonic_ns(void);
  * on, or slot 0; slots before it do not count as skipped. */
 void deadline_timer_init(deadline_timer *self, uint64_t epoch_ns, uint64_t phase_ns, uint64_t period_ns);
 
-/* Sleep until the next slot. A caller that comes late by less than one period gets the slot that is due at once: lateness
- * is for its log to show. Slots more than one period behind are skipped. Returns enum deadline_wait. */
+/* Sleep until the next slot. A caller that comes late by less than one period gets the slot that is due at once:
+ * lateness is for its log to show. Slots more than one period behind are skipped. Returns enum deadline_wait. */
 int32_t deadline_timer_wait(deadline_timer *self);
 
 #endif

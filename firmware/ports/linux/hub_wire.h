@@ -3,8 +3,8 @@
  * A station connects once per bus and says hello; the hub welcomes it. From then on every packet in either direction is
  * 1..HUB_BATCH_MAX can_frame. The hub stamps a frame with the time at which the kernel took it in from its sender:
  * time_us on CLOCK_MONOTONIC since boot (not since an epoch); what a sender writes there is ignored. `sender` of a
- * delivered frame is CAN_STATION_NONE, as on a real bus. A frame that does not fit into a receiver's socket is lost for that
- * receiver and counted by the hub: a slow receiver delays nobody.
+ * delivered frame is CAN_STATION_NONE, as on a real bus. A frame that does not fit into a receiver's socket is lost for
+ * that receiver and counted by the hub: a slow receiver delays nobody.
  */
 #ifndef RACELOOP_PORT_HUB_WIRE_H
 #define RACELOOP_PORT_HUB_WIRE_H
