@@ -93,7 +93,7 @@ def test_a_signal_interrupts_without_using_up_a_slot():
     assert (timer.slot, timer.next_slot, timer.skipped) == (0, 0, 0)
 
 
-def test_a_process_that_was_stopped_skips(tmp_path):
+def test_a_process_that_was_stopped_skips():
     """SIGSTOP in the middle of a wait: afterwards the cycle goes on where time is."""
     reader, writer = os.pipe()
     child = os.fork()
