@@ -35,4 +35,11 @@ typedef struct hub_welcome {
     int32_t error; /* 0, or an errno; the hub hangs up after it */
 } hub_welcome;
 
+/* From the hub to a station: frames lost since the last such packet. */
+typedef struct hub_loss {
+    uint32_t magic;
+    uint32_t version;
+    uint64_t frames;
+} hub_loss;
+
 #endif
