@@ -1,0 +1,1 @@
+"""Real time: every station a process of its own, on SocketCAN or on the hub."""
