@@ -15,9 +15,10 @@ from rich.console import Console
 from rich.table import Table
 
 from autonomy.track_files import load_track
-from bridge.bench import TICK_US, Bench
+from bridge.bench import Bench
 from bridge.interfaces import Autonomy, Road
 from bridge.scenario import Condition, Scenario, load_scenario
+from bridge.surroundings import TICK_US
 from tools.plain_loop import PlainLoop
 from tools.run import DEFAULT_SCENARIO, build_bench, make_autonomy
 

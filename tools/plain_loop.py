@@ -22,16 +22,10 @@ from fmpy.fmi3 import FMU3Slave
 from numpy.typing import NDArray
 
 from bridge._native import ffi, lib
-from bridge.bench import STANDSTILL_SPEED, TICK_US
 from bridge.interfaces import Autonomy, Road
-from bridge.laps import LapTimer
-from bridge.operator import OperatorStation
 from bridge.plant import REQUIRED_INPUTS, REQUIRED_OUTPUTS
-from bridge.race_control import RaceControl, SafetySwitch
-from bridge.scenario import Scenario, Situation, load_vehicle
-from bridge.sensors.suite import SensorSuite
-from bridge.sensors.truth import TruthReader
-from bridge.wiring import Wiring
+from bridge.scenario import Scenario, load_vehicle
+from bridge.surroundings import TICK_US, Surroundings
 from dbc.buses import DIRECTORY
 from dbc.codec import MessageCodec
 from dbc.codec import database as codec_database
@@ -110,23 +104,25 @@ class PlainPlant:
 
 
 class PlainLoop:
-    """One car, joined by python-can and cantools; the parameters are those of `bridge.bench.Bench`.
+    """One car, joined by python-can and cantools.
+
+    Parameters
+    ----------
+    scenario, road, autonomy : as a `bridge.bench.Bench` is made from them.
 
     Attributes
     ----------
     frames : frames sent so far.
     unpacking_s : wall time spent on what a plain loop would not do, see `_send`.
-    truth : true motion after the last tick.
+    surroundings : of the ECUs, with the truth.
     """
 
     def __init__(self, scenario: Scenario, road: Road, autonomy: Autonomy) -> None:
-        assert road.origin is not None
         x, y, yaw = road.pose_at(scenario.start_s_m, scenario.start_d_m)
-        self.plant = PlainPlant(load_vehicle(scenario.vehicle) | {"x0": x, "y0": y, "yaw0": yaw, "v0": 0.0})
+        plant = PlainPlant(load_vehicle(scenario.vehicle) | {"x0": x, "y0": y, "yaw0": yaw, "v0": 0.0})
         self.frames = 0
         self.unpacking_s = 0.0
         self.now_us = 0
-        self._road = road
         self._autonomy = autonomy
         self._databases: dict[Bus, Database] = {}
         self._codecs: dict[tuple[int, int], MessageCodec] = {}
@@ -139,12 +135,12 @@ class PlainLoop:
                 self._codecs[bus, message.frame_id] = codec_database.message(message.name)
             for station in members:
                 self._buses[bus, station] = can.Bus(interface="virtual", channel=f"plain {bus.name} {id(self)}")
-        self._wiring = Wiring(self.plant)  # type: ignore[arg-type]
-        self._operator = OperatorStation(parameter_frames(scenario.operation))
-        self._sensors = SensorSuite(road.origin, scenario.seed)
-        self._race_control = RaceControl(scenario.race_control)
-        self._safety_switch = SafetySwitch(scenario.safety_switch)
-        self._laps = LapTimer(road.length)
+        self.surroundings = Surroundings(
+            plant,  # type: ignore[arg-type]
+            road,
+            scenario,
+            parameter_frames(scenario.operation),
+        )
         self._obc: Any = ffi.new("obc *")
         self._raptor: Any = ffi.new("raptor *")
         self._space_drive: Any = ffi.new("space_drive *")
@@ -156,8 +152,6 @@ class PlainLoop:
         self._outbox.frames = self._out_frames
         self._outbox.capacity = _OUTBOX
         self._states = {"sys_state": 0, "ct_state": 0}
-        self._truth_reader = TruthReader(self.plant.output_names)
-        self._observe()
 
     def __enter__(self) -> PlainLoop:
         return self
@@ -167,17 +161,14 @@ class PlainLoop:
     ) -> None:
         for bus in self._buses.values():
             bus.shutdown()
-        self.plant.close()
+        self.surroundings.close()
 
     def tick(self) -> None:
         """One minor frame, in the order of the bench."""
-        now_us, wiring = self.now_us, self._wiring
-        self._safety_switch.tick(self._situation, wiring.raptor_in)
-        last_lap_s = self._laps.laps_s[-1] if self._laps.laps_s else 0.0
-        self._race_control.tick(self._situation, self._station, last_lap_s, wiring.raptor_in.race_control)
-        wiring.sense()
-        self._send(Station.SENSORS, self._sensors.emit(now_us, self.truth))
-        self._send(Station.OPERATOR, self._operator.tick(now_us, self._receive(Station.OPERATOR)))
+        now_us, surroundings = self.now_us, self.surroundings
+        surroundings.act()
+        self._send(Station.SENSORS, surroundings.sense(now_us))
+        self._send(Station.OPERATOR, surroundings.operator.tick(now_us, self._receive(Station.OPERATOR)))
         self._send(Station.AUTONOMY, self._autonomy.tick(now_us, self._receive(Station.AUTONOMY)))
         for station, ecu in (
             (Station.OBC, self._tick_obc),
@@ -188,21 +179,19 @@ class PlainLoop:
             self._outbox.count = 0
             ecu(now_us, ffi.from_buffer("can_frame[]", received), len(received) // FRAME_STRUCT.size)
             self._send(station, bytes(ffi.buffer(self._out_frames, self._outbox.count * FRAME_STRUCT.size)))
-        wiring.drive()
-        wiring.lay_road(*self._road.road_at_station(self._station))
-        self.plant.step(now_us * 1e-6, TICK_US * 1e-6)
+        surroundings.advance(now_us * 1e-6)
         self.now_us = now_us + TICK_US
-        self._observe()
+        surroundings.observe(self.now_us, self._states["sys_state"], self._states["ct_state"])
 
     def _tick_obc(self, now_us: int, frames: Any, count: int) -> None:
         lib.obc_tick(self._obc, now_us, frames, count, self._outbox)
 
     def _tick_raptor(self, now_us: int, frames: Any, count: int) -> None:
-        wiring = self._wiring
+        wiring = self.surroundings.wiring
         lib.raptor_tick(self._raptor, now_us, wiring.raptor_in, frames, count, wiring.raptor_out, self._outbox)
 
     def _tick_space_drive(self, now_us: int, frames: Any, count: int) -> None:
-        wiring = self._wiring
+        wiring = self.surroundings.wiring
         lib.space_drive_tick(
             self._space_drive, now_us, wiring.space_drive_in, frames, count, wiring.space_drive_out, self._outbox
         )
@@ -254,19 +243,6 @@ class PlainLoop:
                 if state in values:
                     value = values[state]  # with its name, where the value table has one
                     self._states[state] = int(getattr(value, "value", value))
-
-    def _observe(self) -> None:
-        self.truth = self._truth_reader.read(self.plant.outputs)
-        self._station, _ = self._road.project(self.truth.x, self.truth.y)
-        self._laps.update(self.now_us, self._station)
-        self._situation = Situation(
-            time_us=self.now_us,
-            sys_state=self._states["sys_state"],
-            ct_state=self._states["ct_state"],
-            distance_m=self.truth.distance,
-            laps=self._laps.count,
-            standstill=abs(self.truth.vx) < STANDSTILL_SPEED,
-        )
 
 
 def _pending(interface: can.BusABC) -> Iterable[can.Message]:

@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 
 import plant_fmu
-from bridge.bench import TICK_US, Bench
+from bridge.bench import Bench
 from bridge.monitor import RunMonitor
 from bridge.operator import Verdict
 from bridge.scenario import Condition, Scenario, load_scenario
+from bridge.surroundings import TICK_US
 from dbc.codec import database
 from dbc.errors import ConfigurationError, PlantError, RaceloopError
 from dbc.frames import Bus, Station

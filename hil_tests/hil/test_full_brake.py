@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 
 from bridge._native import lib
-from bridge.bench import TICK_US, Bench
+from bridge.bench import Bench
 from bridge.scenario import Condition, Scenario, load_scenario
+from bridge.surroundings import TICK_US
 from dbc.codec import database
 from dbc.frames import Bus, Station
 from dbc.states import CtState, SysState

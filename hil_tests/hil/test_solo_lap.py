@@ -9,12 +9,12 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from bridge.bench import TICK_US
 from bridge.bus import BusStatistics
 from bridge.monitor import FaultEvent, Transition
 from bridge.recorder import Recording
 from bridge.replay import read_log, replay_obc
 from bridge.scenario import load_scenario
+from bridge.surroundings import TICK_US
 from dbc.frames import Bus
 from tools.run import DEFAULT_SCENARIO, build_bench
 
