@@ -127,6 +127,14 @@ uint32_t can_wire_bits(const can_wire *self, const can_frame *frame, uint32_t *s
     return form.bits + CRC_BITS + stuffing.inserted + TRAILER_BITS;
 }
 
+void can_wire_bits_of_each(const can_wire *self, const can_frame *frames, uint32_t count, uint32_t *bits)
+{
+    for (uint32_t i = 0; i < count; i++) {
+        uint32_t stuff_bits;
+        bits[i] = can_wire_bits(self, &frames[i], &stuff_bits) + (uint32_t)CAN_WIRE_INTERFRAME_BITS;
+    }
+}
+
 uint32_t can_wire_arbitration(const can_frame *frame)
 {
     if ((frame->flags & CAN_FLAG_ERROR) != 0) {

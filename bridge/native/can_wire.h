@@ -28,6 +28,9 @@ uint16_t can_wire_crc15(const can_wire *self, const uint8_t *bytes, uint32_t len
  * stuff_bits: receives their number; not null. An error frame counts 20: flag, its echo and delimiter. */
 uint32_t can_wire_bits(const can_wire *self, const can_frame *frame, uint32_t *stuff_bits);
 
+/* Bits of each of `count` frames as above, with intermission. bits: receives `count` values. */
+void can_wire_bits_of_each(const can_wire *self, const can_frame *frames, uint32_t count, uint32_t *bits);
+
 /* Arbitration field as the wire orders it, most significant bit first; the lowest value wins. Error frames: 0. */
 uint32_t can_wire_arbitration(const can_frame *frame);
 

@@ -265,3 +265,16 @@ def test_rejected_operation_file_holds_the_car(rejected: Run) -> None:
     assert truth["brake_pressure_front"][100:].min() > 0.9 * truth["brake_pressure_front"].max() > 1.0e6
     assert np.hypot(truth["x"] - truth["x"][0], truth["y"] - truth["y"][0]).max() < 0.01
     assert truth["engine_speed"].max() == 0.0
+
+
+def test_short_drive_leads_from_power_on_to_standstill(tmp_path: Path) -> None:
+    """The shipped scenario that fits into the time of a look: the whole chain, without a fault."""
+    out = io.StringIO()
+    with contextlib.redirect_stdout(out):
+        assert main(["run", "short_drive", "--out", str(tmp_path)]) == 0
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert summary["finished"]
+    assert summary["faults"] == []
+    assert summary["simulated_s"] < 25.0
+    assert 49.0 < summary["top_speed_kmh"] < 51.5
+    assert [change["state"] for change in summary["sys_state_transitions"]][-2:] == ["SHUT_ENG", "PWR_OFF"]
