@@ -49,6 +49,10 @@ run: build ## Drive the scenario (SCENARIO=FILE, default the solo lap) and write
 test: build ## Run all tests
 	$(BIN)/python -m pytest
 
+.PHONY: test-vcan
+test-vcan: build ## Run the SocketCAN tests: on this kernel if it has vcan, else on Debian's kernels under QEMU
+	$(BIN)/python -m tools.vcan_machine
+
 .PHONY: bench
 bench: build ## Measure this loop side by side with the plain loop a user would write
 	$(BIN)/raceloop bench
