@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import gc
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -14,6 +12,7 @@ import can
 
 from bridge._native import ffi, lib
 from bridge.bus import Network
+from bridge.collector import collector_paused
 from bridge.interfaces import Autonomy, Road
 from bridge.monitor import RunMonitor
 from bridge.pace import WallClockPace
@@ -225,7 +224,7 @@ class Bench:
         limit_us = self.scenario.time_limit_us if time_limit_us is None else time_limit_us
         watch = EndWatch(until or self.scenario.finish, limit_us)
         pace = WallClockPace(rt_ratio) if rt_ratio is not None else None
-        with _collector_paused():
+        with collector_paused():
             while (ending := watch.update(self.surroundings)) is None:
                 if pace is not None:
                     pace.wait(self.now_us)
@@ -284,15 +283,3 @@ class Bench:
             frames = self.network.drain_log()
             self.monitor.update(frames)
             self._recorder.add_frames(frames)
-
-
-@contextmanager
-def _collector_paused() -> Iterator[None]:
-    """No search for reference cycles while the loop runs: it makes none, and each search would be a pause."""
-    was_enabled = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if was_enabled:
-            gc.enable()

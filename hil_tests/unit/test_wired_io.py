@@ -9,6 +9,8 @@ from pathlib import Path
 import pytest
 
 from bridge._native import ffi, lib
+from bridge.realtime.wired import Cell, WiredIo
+from dbc.errors import ConfigurationError
 
 CELLS = {
     lib.WIRED_RAPTOR_IN: "raptor_wired_in",
@@ -122,3 +124,27 @@ def test_files_that_are_no_wires_are_refused(tmp_path: Path):
     assert other.memory == ffi.NULL
     assert lib.wired_io_create(other, str(tmp_path / "no" / "folder").encode()) == errno.ENOENT
     lib.wired_io_close(wires)
+
+
+def test_python_face_joins_two_attachments(tmp_path: Path):
+    path = tmp_path / "wires"
+    with WiredIo(path, create=True) as plant, WiredIo(path) as ecu:
+        demand, received = ffi.new("raptor_wired_out *"), ffi.new("raptor_wired_out *")
+        received.throttle_demand = 0.25
+        assert ecu.read(Cell.RAPTOR_OUT, received) == 0
+        assert received.throttle_demand == 0.25
+        demand.throttle_demand, demand.gear_demand = 0.5, 3
+        before_ns = lib.monotonic_ns()
+        plant.write(Cell.RAPTOR_OUT, demand)
+        assert before_ns <= ecu.read(Cell.RAPTOR_OUT, received) <= lib.monotonic_ns()
+        assert (received.throttle_demand, received.gear_demand) == (0.5, 3)
+
+
+def test_python_face_complains_in_one_line(tmp_path: Path):
+    with pytest.raises(ConfigurationError, match="wires: No such file"):
+        WiredIo(tmp_path / "wires")
+    with pytest.raises(ConfigurationError, match="No such file"):
+        WiredIo(tmp_path / "none" / "wires", create=True)
+    (tmp_path / "text").write_text("once upon a time")
+    with pytest.raises(ConfigurationError, match="text: no wires of this version"):
+        WiredIo(tmp_path / "text")
