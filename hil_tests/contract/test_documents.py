@@ -80,11 +80,13 @@ def test_python_modules_and_their_options_exist(page: Path) -> None:
     for line in code(page):
         if match := re.search(r"python -m ([\w.]+)(.*)", line):
             module = importlib.util.find_spec(match[1])
+            if module is not None and module.submodule_search_locations is not None:
+                module = importlib.util.find_spec(f"{match[1]}.__main__")
             assert module is not None, line
             assert module.origin is not None
             tree = ast.walk(ast.parse(Path(module.origin).read_text()))
             texts = {node.value for node in tree if isinstance(node, ast.Constant)}
-            for option in re.findall(r"--[a-z-]+", match[2]):
+            for option in re.findall(r"--[a-z-]+", match[2].split(" -- ")[0]):
                 assert option in texts, f"{line}: {match[1]} has no {option}"
 
 

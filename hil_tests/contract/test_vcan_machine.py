@@ -129,7 +129,9 @@ def test_panic_is_no_success(stock: kernel.Kernel, tmp_path: Path) -> None:
 def test_modules_that_do_not_load_are_no_success(stock: kernel.Kernel, tmp_path: Path) -> None:
     (tmp_path / "9p.ko").write_bytes(b"no module")
     broken = kernel.Kernel(stock.package, stock.image, (tmp_path / "9p.ko",))
-    with pytest.raises(machine.MachineError, match=r"(?s)^ended with no exit status.*9p\.ko does not load.*host's files cannot"):
+    with pytest.raises(
+        machine.MachineError, match=r"(?s)^ended with no exit status.*9p\.ko does not load.*host's files cannot"
+    ):
         machine.run_in_guest(broken, ["true"], tmp_path / "results", 60, len)
 
 
