@@ -16,7 +16,7 @@
 enum {
     HUB_MAGIC = 0x42554852, /* "RHUB" */
     HUB_VERSION = 1,
-    HUB_BATCH_MAX = 64,
+    HUB_BATCH_MAX = CAN_LINK_RECEIVE_MIN,
 };
 
 /* First packet of a station. Shorter by the filters that are not there. */
