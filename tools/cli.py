@@ -43,6 +43,10 @@ def _dispatch(options: argparse.Namespace, console: Console) -> int:
         from tools.replay import replay  # noqa: PLC0415
 
         return replay(options.log, console)
+    if options.command == "hub":
+        from tools.hub import hub  # noqa: PLC0415
+
+        hub(options.local, options.port)
     from tools.bench import bench  # noqa: PLC0415
 
     return bench(console, options.repeats, options.simulated_s)
@@ -75,6 +79,12 @@ def make_parser() -> argparse.ArgumentParser:
     replay = commands.add_parser("replay", help="replay a recorded log into a fresh onboard computer and compare")
     replay.add_argument("log", type=Path, help="frames.log (candump) or frames.blf of a run, from power-on")
 
+    hub = commands.add_parser("hub", help="carry the four buses where the kernel has no CAN")
+    hub.add_argument(
+        "--port", type=_port, default=29536, metavar="N", help="for socketcand clients; 0: any free (default: 29536)"
+    )
+    hub.add_argument("--local", type=Path, metavar="PATH", help="socket for raceloop's stations (default: your own)")
+
     bench = commands.add_parser("bench", help="measure the loop against the plain loop a user would write")
     bench.add_argument("--repeats", type=_count, default=5, help="pairs of runs (default: 5)")
     bench.add_argument(
@@ -91,6 +101,12 @@ def _positive(text: str) -> float:
     if not 0.0 < value < math.inf:
         raise argparse.ArgumentTypeError(f"is {text!r}; must be a number above 0")
     return value
+
+
+def _port(text: str) -> int:
+    if not text.isdecimal() or int(text) > 65535:
+        raise argparse.ArgumentTypeError(f"is {text!r}; must be a whole number from 0 to 65535")
+    return int(text)
 
 
 def _count(text: str) -> int:
