@@ -22,7 +22,7 @@ ROOT = Path(__file__).resolve().parents[2]
 BUILD = ROOT / "build" / "vcan"
 NETWORK = Path(__file__).with_name("network.sh")
 
-SMOKE_TESTS = ("hil_tests/vcan/test_interfaces.py",)
+SMOKE_TESTS = ("hil_tests/vcan/test_can_utils.py",)
 ALL_TESTS = ("hil_tests/vcan",)
 TEST_PROGRAMS = {"ip": "iproute2", "candump": "can-utils", "unshare": "util-linux"}
 """What the tests need of the host, and the Debian package of each."""
