@@ -108,6 +108,10 @@ class AutonomyPartition:
             + next(self._portions, b"")
         )
 
+    def end(self) -> bytes:
+        """Frames for CAN-A that say that the modules have stopped in order."""
+        return self._status(NodeStatus.INACTIVE, 0.0, NodeStatus.INACTIVE, 0.0)
+
     def _plan(self, now_us: int, estimate: Estimate) -> None:
         self._next_plan_us = now_us + PLAN_PERIOD_US
         ssm, vehicle = self._inbox.ssm_status(), self._inbox.vehicle_status()

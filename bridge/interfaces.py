@@ -67,3 +67,11 @@ class Autonomy(Protocol):
             Frames to send on CAN-A.
         """
         ...
+
+
+class EndableAutonomy(Autonomy, Protocol):
+    """Autonomy in a process of its own, which can be asked to stop."""
+
+    def end(self) -> bytes:
+        """Frames for CAN-A that say that the partition has stopped in order."""
+        ...

@@ -23,6 +23,9 @@ class Verdict(IntEnum):
     REJECTED = 2
 
 
+_VERDICTS = frozenset(Verdict)
+
+
 @dataclass(frozen=True)
 class ParameterResult:
     """One parameter_result frame: the firmware's verdict on one parameter."""
@@ -78,10 +81,13 @@ class OperatorStation:
 
     def _listen(self, now_us: int, frames: bytes) -> None:
         for frame in iterate(frames):
+            if frame.flags or frame.dlc < 8:
+                continue
             if frame.id == self._result.frame_id:
                 result = ParameterResult(*(int(value) for value in self._result.decode(frame.data)))
                 if result.status != 0:
                     self.offences.append(result)
             elif frame.id == self._summary.frame_id:
-                self.verdict = Verdict(int(self._summary.decode(frame.data)[3]))
+                code = int(self._summary.decode(frame.data)[3])
+                self.verdict = Verdict(code) if code in _VERDICTS else Verdict.PENDING
                 self.verdict_us = None if self.verdict is Verdict.PENDING else now_us
