@@ -38,6 +38,9 @@ class Carrier(Protocol):
     def send(self, station: Station, frames: bytes, *buses: Bus) -> None: ...
     def take(self, station: Station) -> bytes: ...
     def end(self) -> None: ...
+    def frames(self) -> NDArray[np.void]:
+        """All frames so far, in order of time."""
+        ...
 
 
 class ByNetwork:
@@ -76,6 +79,7 @@ class ByHand:
 
     def __init__(self) -> None:
         self._inboxes = {station: bytearray() for station in Station}
+        self._log = bytearray()
         self._now_us = 0
 
     def begin(self, now_us: int) -> None:
@@ -84,6 +88,7 @@ class ByHand:
     def send(self, station: Station, frames: bytes, *_buses: Bus) -> None:
         for frame in iterate(frames):
             stamped = frame._replace(time_us=self._now_us, sender=Station.NONE).pack()
+            self._log += stamped
             for member in MEMBERS[Bus(frame.bus)]:
                 if member is not station:
                     self._inboxes[member] += stamped
@@ -97,6 +102,9 @@ class ByHand:
 
     def end(self) -> None:
         pass
+
+    def frames(self) -> NDArray[np.void]:
+        return frame_array(bytes(self._log))
 
 
 class Chain:
@@ -163,9 +171,7 @@ class Chain:
             # Lock step lets the operator's frames go together with autonomy's.
             carrier.send(Station.OPERATOR, sent[sent["bus"] == Bus.CAN_A].tobytes())
         if Station.AUTONOMY not in self.held:
-            carrier.send(
-                Station.AUTONOMY, self.autonomy.step(now_us, carrier.take(Station.AUTONOMY)), Bus.CAN_A
-            )
+            carrier.send(Station.AUTONOMY, self.autonomy.step(now_us, carrier.take(Station.AUTONOMY)), Bus.CAN_A)
         if Station.OBC not in self.held:
             received = carrier.take(Station.OBC)
             sent_by_obc = self._tick(lib.obc_tick, self.obc, received)
@@ -198,4 +204,3 @@ class Chain:
         else:
             tick(ecu, self.now_us, wires[0], frames, count, wires[1], self._outbox)
         return bytes(ffi.buffer(self._out_frames, self._outbox.count * FRAME_SIZE))
-
