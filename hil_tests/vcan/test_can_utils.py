@@ -12,19 +12,22 @@ import cantools
 import numpy as np
 import pytest
 from can.io.canutils import CanutilsLogReader
+from can_utils import INTERFACES, PATIENCE_S, candump, process, read_lines
 
 from bridge.bus import CHANNELS
 from bridge.log_writer import CANDUMP, FrameLogs
+from bridge.realtime.link import CanLink
 from dbc.buses import DATABASES, DIRECTORY, Bus
 from dbc.codec import MessageCodec, database
 from dbc.frames import FRAME_DTYPE, Flag
-from hil_tests.vcan.can_utils import INTERFACES, PATIENCE_S, candump, process, read_lines
 
 pytestmark = pytest.mark.vcan
 
 SEED = 20260822
 BATCH = 50
 """Frames on their way to a foreign program at one time: well below what a socket holds."""
+FLOOD = 20_000
+"""Frames, more than the socket of a link holds."""
 CANTOOLS = {bus: cantools.database.load_file(DIRECTORY / f"{stem}.dbc") for stem, bus in DATABASES.items()}
 
 
@@ -121,3 +124,26 @@ def test_canplayer_plays_our_recording(buses: dict[Bus, can.BusABC], tmp_path: P
                 assert essence(heard) == essence(as_message(frame))
         assert player.wait(PATIENCE_S) == 0
     assert [bus.recv(0.0) for bus in buses.values()] == [None] * 4
+
+
+def test_every_frame_of_a_flood_is_received_or_counted_as_lost() -> None:
+    interface = INTERFACES[Bus.CAN1]
+    with CanLink(f"socketcan:{interface}", Bus.CAN1) as link:
+        subprocess.run(["cangen", interface, "-g", "0", "-i", "-n", str(FLOOD)], check=True, timeout=4 * PATIENCE_S)
+        first = drain(link)
+        assert 0 < len(first) < FLOOD
+        # The kernel tells of what it dropped along with the next frame.
+        subprocess.run(["cansend", interface, "123#01"], check=True)
+        (last,) = drain(link)
+        assert (last["id"], last["dlc"], last["data"][0]) == (0x123, 1, 1)
+        assert link.statistics.received == len(first) + 1
+        assert link.statistics.received + link.statistics.overflows == FLOOD + 1
+        times = first["time_us"].astype(np.int64)
+        assert (np.diff(times) >= 0).all()
+
+
+def drain(link: CanLink) -> np.ndarray:
+    pieces = []
+    while len(piece := link.receive()):
+        pieces.append(piece)
+    return np.concatenate(pieces)

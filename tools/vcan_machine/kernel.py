@@ -13,7 +13,7 @@ from pathlib import Path
 
 from dbc.errors import RaceloopError
 
-MODULES = ("virtio_pci", "9pnet_virtio", "9p", "overlay", "vcan", "can_raw", "can_bcm", "can_isotp", "can_gw")
+MODULES = ("virtio_pci", "9pnet_virtio", "9p", "overlay", "vcan", "can_raw", "can_bcm")
 """What the guest loads, with what these depend on."""
 
 ENGLISH = {**os.environ, "LC_ALL": "C.UTF-8"}
