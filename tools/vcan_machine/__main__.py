@@ -23,7 +23,7 @@ BUILD = ROOT / "build" / "vcan"
 NETWORK = Path(__file__).with_name("network.sh")
 
 SMOKE_TESTS = ("hil_tests/vcan/test_can_utils.py",)
-ALL_TESTS = ("hil_tests/vcan",)
+ALL_TESTS = ("hil_tests/vcan", "hil_tests/contract/test_bus_backends.py")
 TEST_PROGRAMS = {"ip": "iproute2", "candump": "can-utils", "unshare": "util-linux"}
 """What the tests need of the host, and the Debian package of each."""
 HANG_S = 60
