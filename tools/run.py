@@ -83,10 +83,10 @@ def build_bench(scenario: Scenario, folder: Path | None = None) -> Bench:
     RaceloopError
         When a file that the scenario names is wrong.
     """
-    return Bench.from_scenario(scenario, partial(_load_road, scenario), make_autonomy, folder)
+    return Bench.from_scenario(scenario, partial(load_road, scenario), make_autonomy, folder)
 
 
-def _load_road(scenario: Scenario, path: Path) -> Track:
+def load_road(scenario: Scenario, path: Path) -> Track:
     """Load the track of a scenario, which must have the start on it."""
     track = load_track(path)
     station, lateral = scenario.start_s_m, scenario.start_d_m
