@@ -252,7 +252,8 @@ def serve(stream: BinaryIO, writer: LogWriter) -> str | None:
 
 def main(arguments: Sequence[str]) -> int:
     """Entry of the writer process: the recording's description as JSON, records on standard input."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the bench decides what becomes of the recording
+    for number in (signal.SIGINT, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)  # the bench decides what becomes of the recording
     options: dict[str, Any] = json.loads(arguments[0])
     folder = Path(options["folder"])
     try:
@@ -262,6 +263,9 @@ def main(arguments: Sequence[str]) -> int:
         except BaseException:
             writer.abort()
             raise
+        if digest is None and options["keep"]:
+            writer.finish()
+            return 0
         if digest is None:
             writer.abort()
             return 1

@@ -83,6 +83,11 @@ class RunMonitor:
             self.executive_overruns = int(statistics["executive_overruns"][1][-1])
             self.executive_late_frames = int(statistics["executive_late_frames"][1][-1])
 
+    def state(self, machine: str) -> str:
+        """State of a machine as last seen; empty before the first."""
+        states = {known.name: known.states for known in self._machines}[machine]
+        return _name(states, self._state[machine]) if machine in self._state else ""
+
     def _follow(self, machine: _Machine, times: NDArray[np.uint64], values: NDArray[np.float64]) -> None:
         states = values.astype(np.int64)
         before = np.concatenate(([self._state.get(machine.name, -1)], states[:-1]))

@@ -62,6 +62,7 @@ class Recorder:
     ----------
     folder : of the recording; created when missing.
     names, units : of the plant's outputs.
+    keep : a run that cannot be repeated: when this process dies, what it has given is put into place.
 
     Raises
     ------
@@ -69,11 +70,13 @@ class Recorder:
         From any method, when the files cannot be written.
     """
 
-    def __init__(self, folder: Path, names: Sequence[str], units: Sequence[str]) -> None:
+    def __init__(self, folder: Path, names: Sequence[str], units: Sequence[str], keep: bool = False) -> None:
         self._folder = folder
         self._rows: NDArray[np.float64] = np.empty((_ROWS, len(names) + 1))
         self._row_count = 0
-        options = json.dumps({"folder": str(folder.absolute()), "names": list(names), "units": list(units)})
+        options = json.dumps(
+            {"folder": str(folder.absolute()), "names": list(names), "units": list(units), "keep": keep}
+        )
         self._process = subprocess.Popen(
             [sys.executable, "-m", "bridge.log_writer", options],
             stdin=subprocess.PIPE,

@@ -13,6 +13,9 @@ from rich.console import Console
 from dbc.errors import RaceloopError
 from tools.exit_status import ExitStatus
 
+_REAL_TIME_ONLY = ("bus", "interfaces", "port", "without", "priority", "cpu")
+"""Options of `raceloop run` that mean nothing in lock step."""
+
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; returns the exit status."""
@@ -32,9 +35,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _dispatch(options: argparse.Namespace, console: Console) -> int:
     """Import what the command needs only: `--help` and errors answer at once."""
     if options.command == "run":
-        from tools.run import run  # noqa: PLC0415
-
-        return run(options.scenario, options.out, console, options.rt_ratio)
+        return _run(options, console)
     if options.command == "check-params":
         from tools.check_params import check_params  # noqa: PLC0415
 
@@ -50,6 +51,23 @@ def _dispatch(options: argparse.Namespace, console: Console) -> int:
     from tools.bench import bench  # noqa: PLC0415
 
     return bench(console, options.repeats, options.simulated_s)
+
+
+def _run(options: argparse.Namespace, console: Console) -> int:
+    given = [f"--{name}" for name in _REAL_TIME_ONLY if getattr(options, name) not in (None, [])]
+    if not options.realtime:
+        if given:
+            raise RaceloopError(f"{given[0]} needs --realtime")
+        from tools.run import run  # noqa: PLC0415
+
+        return run(options.scenario, options.out, console, options.rt_ratio)
+    if options.rt_ratio is not None:
+        raise RaceloopError("--rt-ratio does not go with --realtime, which is always as fast as the clock")
+    from tools.realtime import run_realtime  # noqa: PLC0415
+    from tools.realtime_run import make_options  # noqa: PLC0415
+
+    chosen = make_options(options.bus, options.interfaces, options.port, options.without, options.priority, options.cpu)
+    return run_realtime(options.scenario, options.out, console, chosen)
 
 
 def make_parser() -> argparse.ArgumentParser:
@@ -72,6 +90,28 @@ def make_parser() -> argparse.ArgumentParser:
         metavar="N",
         help="simulated seconds per second of the wall clock (default: as fast as possible)",
     )
+
+    run.add_argument("--realtime", action="store_true", help="every station a process of its own, by the wall clock")
+    live = run.add_argument_group("with --realtime")
+    live.add_argument("--bus", choices=["hub", "socketcan"], help="what carries the four buses (default: hub)")
+    live.add_argument(
+        "--interfaces",
+        type=lambda text: text.split(","),
+        metavar="A,B,C,D",
+        help="CAN interfaces of CAN1, CAN3, CANA, CANS (default: vcan0,vcan1,vcan2,vcan3)",
+    )
+    live.add_argument(
+        "--port", type=_port, metavar="N", help="of the hub for socketcand clients (default: any that is free)"
+    )
+    live.add_argument(
+        "--without",
+        action="append",
+        default=[],
+        metavar="PART",
+        help="leave a part out, to take its place: obc, raptor, space-drive, autonomy, plant; may be repeated",
+    )
+    live.add_argument("--priority", type=int, metavar="N", help="SCHED_FIFO priority of the ECUs, 1 to 99")
+    live.add_argument("--cpu", type=int, metavar="N", help="core for ECUs and hub alone")
 
     check = commands.add_parser("check-params", help="let the firmware validate an operation configuration")
     check.add_argument("file", type=Path, help="YAML file")

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 
 import scenarios
 from autonomy.partition import AutonomyPartition
@@ -31,6 +29,7 @@ from firmware.parameters import Offence, decode_results, load_operation
 from firmware.tables import load_parameters
 from tools.check_params import show_rejected
 from tools.exit_status import ExitStatus
+from tools.progress import ProgressBar
 from tools.recorded import Recorded
 from tools.summary import driving_summary, event_summary, show_summary, write_summary
 
@@ -120,11 +119,11 @@ def run(scenario_name: str | None, folder: Path, console: Console, rt_ratio: flo
     with build_bench(scenario) as bench:
         if scenario.finish.for_us == 0 and scenario.finish.holds(bench.situation):
             raise ConfigurationError(scenario.path, "finish", "holds at power-on; must be something yet to come")
-        _make_folder(folder)
+        make_folder(folder)
         bench.record_to(folder)
-        with _progress(console, scenario) as on_progress:
+        with ProgressBar(console, scenario.name, scenario.time_limit_us) as bar:
             started = time.perf_counter()
-            finished = bench.run(on_progress=on_progress, rt_ratio=rt_ratio)
+            finished = bench.run(on_progress=partial(_show, bar), rt_ratio=rt_ratio)
             loop_s = time.perf_counter() - started
         with console.status("Completing the recording"):
             recording = bench.finish()
@@ -134,6 +133,11 @@ def run(scenario_name: str | None, folder: Path, console: Console, rt_ratio: flo
         summary = _summary(bench, recording, finished, offences, loop_s, whole_s, folder)
     write_summary(summary, folder / SUMMARY)
     show_summary(summary, console)
+    return conclude(scenario, finished, offences, console)
+
+
+def conclude(scenario: Scenario, finished: bool, offences: Sequence[Offence], console: Console) -> int:
+    """Say what became of a run that was not interrupted; returns the exit status."""
     if offences:
         show_rejected(scenario.operation, offences, console)
         console.print("[red]Not driven[/red]: the onboard computer holds full brake until the next power-on")
@@ -192,7 +196,7 @@ def _summary(
     }
 
 
-def _make_folder(folder: Path) -> None:
+def make_folder(folder: Path) -> None:
     """Make the folder, and see now rather than after the run whether a file can be made in it."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -202,29 +206,10 @@ def _make_folder(folder: Path) -> None:
         raise RaceloopError(f"{folder}: cannot be the folder of the recording: {error.strerror}") from error
 
 
-@contextmanager
-def _progress(console: Console, scenario: Scenario) -> Iterator[Any]:
-    """Progress by simulated time against the scenario's limit, with what the car is doing."""
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TaskProgressColumn(),
-        TextColumn("{task.fields[state]}"),
-        TimeElapsedColumn(),
-    )
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task(scenario.name, total=scenario.time_limit_us, state="")
-
-        def show(progress: lockstep.Progress) -> None:
-            now = progress.situation
-            try:
-                state = CtState(now.ct_state).name
-            except ValueError:
-                state = str(now.ct_state)
-            bar.update(
-                task,
-                completed=now.time_us,
-                state=f"{now.time_us * 1e-6:6.1f} s  {state:<14} {progress.speed * 3.6:5.1f} km/h  lap {now.laps}",
-            )
-
-        yield show
+def _show(bar: ProgressBar, progress: lockstep.Progress) -> None:
+    now = progress.situation
+    try:
+        state = CtState(now.ct_state).name
+    except ValueError:
+        state = str(now.ct_state)
+    bar.update(now.time_us, f"{state:<14} {progress.speed * 3.6:5.1f} km/h  lap {now.laps}")

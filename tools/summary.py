@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -17,6 +18,7 @@ from rich.table import Table
 from bridge.monitor import FaultEvent, RunMonitor
 from dbc.errors import RaceloopError
 from firmware.tables import load_faults
+from tools.realtime_summary import show_real_time
 from tools.recorded import Recorded
 from tools.tracking import PAPER, PAPER_TOP_SPEED_KMH, TrackingErrors, tracking_errors, tracking_table
 
@@ -27,9 +29,22 @@ WIDTH = 80
 """Columns of the page."""
 
 
+_NOT_DRIVEN: Mapping[str, Any] = {
+    "top_speed_kmh": None,
+    "top_lateral_acceleration_mps2": None,
+    "distance_m": None,
+    "tracking": None,
+    "yaw_error_share_in_band": None,
+    "cross_track_share_left": None,
+}
+"""Of a run without a plant."""
+
+
 def driving_summary(recorded: Recorded) -> dict[str, Any]:
     """How the car drove: speed, distance, tracking."""
     truth = recorded.truth
+    if truth["time_us"].size == 0:
+        return dict(_NOT_DRIVEN)
     speed = np.hypot(truth["vx"], truth["vy"])
     errors = tracking_errors(
         truth["time_us"].astype(np.int64), truth["x"], truth["y"], truth["yaw"], speed, recorded.plans()
@@ -52,14 +67,15 @@ def _tracking_shares(errors: TrackingErrors) -> dict[str, float | None]:
     }
 
 
-def event_summary(monitor: RunMonitor) -> dict[str, Any]:
-    """What happened: changes of state, faults, figures of the onboard computer's executive."""
+def event_summary(monitor: RunMonitor, until_us: int | None = None) -> dict[str, Any]:
+    """What happened up to a time: changes of state, faults, figures of the onboard computer's executive."""
+    end_us = math.inf if until_us is None else until_us
     return {
         **{
             key: [
                 {"time_s": change.time_us * 1e-6, "before": change.before, "state": change.after}
                 for change in monitor.transitions
-                if change.machine == machine
+                if change.machine == machine and change.time_us <= end_us
             ]
             for key, machine in (
                 ("ssm_transitions", "ssm"),
@@ -67,7 +83,7 @@ def event_summary(monitor: RunMonitor) -> dict[str, Any]:
                 ("sys_state_transitions", "sys"),
             )
         },
-        "faults": _faults(monitor.faults),
+        "faults": _faults(event for event in monitor.faults if event.time_us <= end_us),
         "executive": {
             "frames": monitor.executive_frames,
             "overruns": monitor.executive_overruns,
@@ -118,20 +134,16 @@ def write_summary(summary: Mapping[str, Any], path: Path) -> None:
 def show_summary(summary: Mapping[str, Any], console: Console) -> None:
     """Print the page, at most `WIDTH` columns wide but for names of files."""
     console.print(f"[bold]{escape(summary['scenario'])}[/bold], seed {summary['seed']}")
-    console.print(
-        f"{summary['simulated_s']:.2f} s simulated in {summary['wall_s']:.2f} s:"
-        f" {summary['real_time_factor']:.1f} times real time"
-    )
-    laps = ", ".join(f"{lap:.3f} s" for lap in summary["laps_s"]) or "none"
-    console.print(f"Laps: {laps}; top speed {summary['top_speed_kmh']:.1f} km/h (paper {PAPER_TOP_SPEED_KMH})\n")
-    console.print("Errors of the true pose against the published path (paper's figures in brackets)")
-    console.print(_tracking_table(summary["tracking"]), width=WIDTH)
-    inside, left = summary["yaw_error_share_in_band"], summary["cross_track_share_left"]
-    if inside is not None:
+    real_time = summary.get("real_time")
+    if real_time is None:
         console.print(
-            f"Yaw error within {YAW_BAND_RAD} rad: {inside:.1%} (paper 97 %); left of the path: {left:.1%} (87 %)"
+            f"{summary['simulated_s']:.2f} s simulated in {summary['wall_s']:.2f} s:"
+            f" {summary['real_time_factor']:.1f} times real time"
         )
-    console.print()
+    else:
+        console.print(f"{summary['simulated_s']:.2f} s in real time, buses over {real_time['bus']}")
+    if summary["tracking"] is not None:
+        _show_driving(summary, console)
     console.print(_bus_table(summary["buses"]), width=WIDTH)
     console.print()
     for name, key in (("SSM", "ssm"), ("ct_state", "ct_state"), ("sys_state", "sys_state")):
@@ -144,8 +156,24 @@ def show_summary(summary: Mapping[str, Any], console: Console) -> None:
         f"Faults: {len(summary['faults'])}; OBC executive: {executive['frames']} frames,"
         f" {executive['overruns']} overruns, {executive['late_frames']} late"
     )
+    if real_time is not None:
+        console.print()
+        show_real_time(real_time, console)
     console.print(f"frames.log SHA-256\n  {summary['frame_log_sha256']}")
     console.print(f"Files in {summary['folder']}: {', '.join(summary['files'])}", markup=False)
+
+
+def _show_driving(summary: Mapping[str, Any], console: Console) -> None:
+    laps = ", ".join(f"{lap:.3f} s" for lap in summary["laps_s"]) or "none"
+    console.print(f"Laps: {laps}; top speed {summary['top_speed_kmh']:.1f} km/h (paper {PAPER_TOP_SPEED_KMH})\n")
+    console.print("Errors of the true pose against the published path (paper's figures in brackets)")
+    console.print(_tracking_table(summary["tracking"]), width=WIDTH)
+    inside, left = summary["yaw_error_share_in_band"], summary["cross_track_share_left"]
+    if inside is not None:
+        console.print(
+            f"Yaw error within {YAW_BAND_RAD} rad: {inside:.1%} (paper 97 %); left of the path: {left:.1%} (87 %)"
+        )
+    console.print()
 
 
 def _table(*headings: str) -> Table:

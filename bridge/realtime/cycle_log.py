@@ -112,6 +112,15 @@ def read_cycle_log(path: Path) -> CycleLog:
     )
 
 
+def cycles_written(path: Path) -> int | None:
+    """Cycles that a station has logged so far; None while there is no log."""
+    try:
+        with path.open("rb", buffering=0) as file:
+            return int(_read_header(path, file.fileno())["written"])
+    except (OSError, ConfigurationError):
+        return None
+
+
 def _read_header(path: Path, descriptor: int) -> np.void:
     data = os.pread(descriptor, HEADER_DTYPE.itemsize, 0)
     if len(data) == HEADER_DTYPE.itemsize:

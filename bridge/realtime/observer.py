@@ -16,6 +16,9 @@ from dbc.frames import FRAME_DTYPE
 #: the way from a sender to here takes.
 HOLD_US = 50_000
 
+#: Frames are passed on this often: together they cost less.
+PASS_ON_US = 100_000
+
 
 class InOrder:
     """Puts the frames of several buses into order of time.
@@ -26,29 +29,27 @@ class InOrder:
     """
 
     def __init__(self) -> None:
-        self._kept = np.zeros(0, FRAME_DTYPE)
+        self._pieces: list[NDArray[np.void]] = [np.zeros(0, FRAME_DTYPE)]
         self._given_us = 0
         self.late = 0
 
-    def add(self, pieces: Sequence[NDArray[np.void]]) -> None:
-        """Take frames, each piece in order of time; arrays of `FRAME_DTYPE`."""
-        if any(piece.size for piece in pieces):
-            frames = np.concatenate([self._kept, *pieces])
-            self._kept = frames[np.argsort(frames["time_us"], kind="stable")]
+    def add(self, frames: NDArray[np.void]) -> None:
+        """Take frames; array of `FRAME_DTYPE`. Those of one time must be in order."""
+        if frames.size:
+            self._pieces.append(frames)
 
-    def take(self, until_us: int) -> NDArray[np.void]:
-        """Give out the frames from before a time, in order."""
-        count = int(np.searchsorted(self._kept["time_us"], until_us))
-        frames, self._kept = self._kept[:count], self._kept[count:]
+    def take(self, until_us: int | None = None) -> NDArray[np.void]:
+        """Give out the frames from before a time, or all of them, in order."""
+        frames = np.concatenate(self._pieces)
+        times = frames["time_us"]
+        order = np.argsort(times, kind="stable")
+        count = times.size if until_us is None else int(np.searchsorted(times, max(until_us, 0), sorter=order))
+        given = frames[order[:count]]
+        self._pieces = [frames[order[count:]]]
         if count:
-            self.late += int(np.searchsorted(frames["time_us"], self._given_us))
-            self._given_us = max(self._given_us, int(frames["time_us"][-1]))
-        return frames
-
-    def take_all(self) -> NDArray[np.void]:
-        """Give out what is left."""
-        frames, self._kept = self._kept, self._kept[:0]
-        return frames
+            self.late += int(np.searchsorted(given["time_us"], self._given_us))
+            self._given_us = max(self._given_us, int(given["time_us"][-1]))
+        return given
 
 
 class Listener(Protocol):
@@ -60,7 +61,7 @@ class Listener(Protocol):
 
 
 class Observer:
-    """Reads links, and passes what it hears on in order of time.
+    """Reads links, and passes on what it hears in order of time.
 
     Parameters
     ----------
@@ -76,6 +77,7 @@ class Observer:
         self._links = links
         self._sink = sink
         self._order = InOrder()
+        self._next_us = 0
         self.monitor = RunMonitor()
         self.load = BusLoad()
 
@@ -85,14 +87,25 @@ class Observer:
         return self._order.late
 
     def poll(self, now_us: int) -> None:
-        """Read all links; to be called often enough that no queue fills up. now_us: since the epoch of the run."""
-        self._order.add([link.receive() for link in self._links])
-        self._pass_on(self._order.take(max(now_us - HOLD_US, 0)))
+        """Read all links; to be called often enough that no queue fills up.
+
+        Parameters
+        ----------
+        now_us : since the epoch of the run.
+        """
+        self._listen()
+        if now_us >= self._next_us:
+            self._next_us = now_us + PASS_ON_US
+            self._pass_on(self._order.take(now_us - HOLD_US))
 
     def finish(self) -> None:
-        """Pass on what is left."""
-        self._order.add([link.receive() for link in self._links])
-        self._pass_on(self._order.take_all())
+        """Read all links for the last time and pass on everything."""
+        self._listen()
+        self._pass_on(self._order.take())
+
+    def _listen(self) -> None:
+        for link in self._links:
+            self._order.add(link.receive())
 
     def _pass_on(self, frames: NDArray[np.void]) -> None:
         if frames.size:

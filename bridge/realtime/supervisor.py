@@ -216,8 +216,12 @@ class Supervisor:
         """Process of a part that runs."""
         return self._running[name].process.pid
 
-    def start(self) -> None:
+    def start(self, when_set: Callable[[int], None] = lambda _epoch_ns: None) -> None:
         """Start all parts, wait until they are ready, and set the epoch `lead_s` ahead.
+
+        Parameters
+        ----------
+        when_set : called with the epoch when the hub runs and before any station knows it, to attach in time.
 
         Raises
         ------
@@ -229,6 +233,7 @@ class Supervisor:
             self._launch(Start.SERVICE)
             self._launch(Start.PREPARES)
             self.epoch_ns = time.monotonic_ns() + self._lead_ns
+            when_set(self.epoch_ns)
             for running in self._running.values():
                 running.tell(self.epoch_ns)
             self._launch(Start.AT_ONCE)

@@ -27,12 +27,14 @@ def rows(taken: np.ndarray) -> list[tuple[int, int]]:
 
 def test_frames_of_two_buses_come_in_order_of_time():
     order = InOrder()
-    order.add([frames(0, 10, 30), frames(1, 20, 40)])
+    order.add(frames(0, 10, 30))
+    order.add(frames(1, 20, 40))
     assert rows(order.take(35)) == [(10, 0), (20, 1), (30, 0)]
-    order.add([frames(0), frames(1, 36)])
+    order.add(frames(0))
+    order.add(frames(1, 36))
     assert rows(order.take(40)) == [(36, 1)], "a frame of the time itself is not given out yet"
-    assert rows(order.take_all()) == [(40, 1)]
-    assert rows(order.take_all()) == []
+    assert rows(order.take()) == [(40, 1)]
+    assert rows(order.take()) == []
     assert order.late == 0
 
 
@@ -40,15 +42,15 @@ def test_frames_of_one_time_keep_their_order():
     order = InOrder()
     first = frames(0, 5, 5, 5)
     first["id"] = [3, 1, 2]
-    order.add([first])
+    order.add(first)
     assert list(order.take(6)["id"]) == [3, 1, 2]
 
 
 def test_a_frame_that_comes_too_late_is_counted_and_not_lost():
     order = InOrder()
-    order.add([frames(0, 10, 50)])
+    order.add(frames(0, 10, 50))
     assert rows(order.take(60)) == [(10, 0), (50, 0)]
-    order.add([frames(1, 20, 49, 50, 55)])
+    order.add(frames(1, 20, 49, 50, 55))
     assert rows(order.take(60)) == [(20, 1), (49, 1), (50, 1), (55, 1)]
     assert order.late == 2
 
@@ -63,14 +65,12 @@ def test_pieces_of_any_size_give_the_whole_in_order(seed: int):
     for now in range(0, 130_000, 5_000):
         # Every bus delivers with a delay of its own, below what is kept back.
         delays = generator.integers(0, 20_000, 4)
-        pieces = []
         for bus in range(4):
             arrived = times[bus] <= now - delays[bus]
-            pieces.append(frames(bus, *times[bus][arrived]))
+            order.add(frames(bus, *times[bus][arrived]))
             times[bus] = times[bus][~arrived]
-        order.add(pieces)
-        taken.append(order.take(max(now - 30_000, 0)))
-    taken.append(order.take_all())
+        taken.append(order.take(now - 30_000))
+    taken.append(order.take())
     whole = np.concatenate(taken)
     assert whole.size == 4 * 300 - sum(rest.size for rest in times)
     assert np.all(np.diff(whole["time_us"].astype(np.int64)) >= 0)

@@ -1,0 +1,242 @@
+"""`raceloop run --realtime`: every station a process of its own, on SocketCAN or on the hub, by the wall clock."""
+
+from __future__ import annotations
+
+import signal
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+from rich.console import Console
+
+from bridge.bus import CHANNELS
+from bridge.laps import LapTimer
+from bridge.operator import Verdict
+from bridge.realtime.plant_station import PlantExit
+from bridge.realtime.supervisor import Ended
+from bridge.realtime.watch import CycleWatch, RunWatch
+from bridge.recorder import Recording
+from bridge.scenario import Scenario, load_scenario
+from bridge.surroundings import STANDSTILL_SPEED
+from dbc.codec import database
+from firmware.parameters import Offence, decode_results, load_operation
+from firmware.tables import load_parameters
+from tools.exit_status import ExitStatus
+from tools.progress import ProgressBar
+from tools.realtime_run import RealTimeOptions, RealTimeRun
+from tools.realtime_summary import stations_summary
+from tools.recorded import Recorded
+from tools.run import SUMMARY, conclude, find_scenario, load_road
+from tools.summary import driving_summary, event_summary, show_summary, write_summary
+
+CYCLES = "cycles"
+"""Folder of the cycle logs in that of the recording."""
+
+LOOK_US = 100_000
+"""How often the cycles of the stations are looked at."""
+
+_ENDINGS = frozenset({PlantExit.FINISHED, PlantExit.TIME_UP, PlantExit.REJECTED})
+
+
+def run_realtime(scenario_name: str | None, folder: Path, console: Console, options: RealTimeOptions) -> int:
+    """Drive a scenario in real time and leave recording and `summary.json` in a folder.
+
+    Returns
+    -------
+    int
+        Exit status: a part that failed counts as a missed finish. An interrupted run is recorded as far as it came.
+
+    Raises
+    ------
+    RaceloopError
+        When the run cannot start; nothing is left running or half-written.
+    """
+    database.check_sources()
+    scenario = load_scenario(find_scenario(scenario_name))
+    load_road(scenario, scenario.track)
+    with _asked_to_stop_is_ctrl_c(), RealTimeRun(scenario, options, _say) as run:
+        run.start(folder)
+        course = _Course(run, scenario)
+        try:
+            _announce(run, console)
+            course.follow(console)
+        except KeyboardInterrupt:
+            course.interrupted = True
+        recording = run.finish(folder / CYCLES)
+        assert recording is not None
+        summary = _summary(run, course, recording, folder)
+    write_summary(summary, folder / SUMMARY)
+    show_summary(summary, console)
+    if course.interrupted:
+        print(f"raceloop: interrupted; what was recorded until then is in {folder}", file=sys.stderr)
+        return ExitStatus.INTERRUPTED
+    if course.failures:
+        console.print(f"[red]Failed[/red]: {'; '.join(course.failures)}")
+        return ExitStatus.MISSED
+    return conclude(scenario, course.finished, course.offences, console)
+
+
+class _Course:
+    """What happens while a run goes on.
+
+    Attributes
+    ----------
+    plant_exit : how the plant ended the run; None when it did not.
+    failures : what went wrong, one line each.
+    interrupted : Ctrl-C.
+    """
+
+    def __init__(self, run: RealTimeRun, scenario: Scenario) -> None:
+        self.plant_exit: PlantExit | None = None
+        self.failures: list[str] = []
+        self.interrupted = False
+        self.offences: list[Offence] = []
+        self._run = run
+        self._scenario = scenario
+        self._watch = RunWatch(scenario.time_limit_us)
+        self._cycles = CycleWatch()
+        self._lost: set[str] = set()
+        self._next_look_us = 0
+
+    @property
+    def finished(self) -> bool:
+        """The scenario's finish was reached, and nothing failed."""
+        return self.plant_exit is PlantExit.FINISHED and not self.failures
+
+    def follow(self, console: Console) -> None:
+        """Look at the run until it is over."""
+        run = self._run
+        with ProgressBar(console, self._scenario.name, self._scenario.time_limit_us) as bar:
+            while self.plant_exit is None:
+                for ended in run.poll():
+                    self._note(ended)
+                now_us = run.now_us
+                self._look_at_cycles(now_us)
+                if self._watch.over(now_us, self._car_stands()):
+                    break
+                speed = 0.0 if run.speed_mps is None else run.speed_mps
+                bar.update(max(now_us, 0), f"{run.observer.monitor.state('ct'):<14} {speed * 3.6:5.1f} km/h")
+
+    def _note(self, ended: Ended) -> None:
+        if ended.name == "plant" and ended.status in _ENDINGS:
+            self.plant_exit = PlantExit(ended.status)
+        else:
+            self._fail(f"{ended} at {self._run.seconds(ended.time_ns):.3f} s")
+
+    def _look_at_cycles(self, now_us: int) -> None:
+        if now_us < self._next_look_us:
+            return
+        self._next_look_us = now_us + LOOK_US
+        for change in self._cycles.update(now_us, self._run.cycles()):
+            if change.over:
+                _say("raceloop", f"{change.name} cycles again at {now_us * 1e-6:.2f} s")
+            else:
+                _say("raceloop", f"{change.name} has not cycled since {change.since_us * 1e-6:.2f} s")
+        for name in self._cycles.lost(now_us):
+            if name not in self._lost:
+                self._lost.add(name)
+                self._fail(f"{name} does not cycle any more")
+
+    def _fail(self, line: str) -> None:
+        _say("raceloop", line)
+        self.failures.append(line)
+        self._watch.fail(self._run.now_us)
+
+    def _car_stands(self) -> bool:
+        run = self._run
+        if "plant" not in run.supervisor.running:
+            return True
+        return run.speed_mps is None or abs(run.speed_mps) < STANDSTILL_SPEED
+
+
+def _announce(run: RealTimeRun, console: Console) -> None:
+    """Say where the run is, for those who want to join it."""
+    addresses = run.addresses()
+    places = ", ".join(f"{CHANNELS[bus]} {address}" for bus, address in addresses.items())
+    console.print(f"Buses: {places}", markup=False)
+    for name in sorted(run.options.without):
+        console.print(f"Without {name}. It would have been started with", markup=False)
+        console.print(f"  {run.command_line(name)}", markup=False)
+
+
+def _say(name: str, line: str) -> None:
+    """Forward a line of a part's log."""
+    print(f"{name}: {line.removeprefix(f'raceloop-{name}: ')}", file=sys.stderr, flush=True)
+
+
+@contextmanager
+def _asked_to_stop_is_ctrl_c() -> Iterator[None]:
+    """Let SIGTERM end the run as Ctrl-C does, so that it is recorded and nothing is left running."""
+
+    def interrupt(_number: int, _frame: FrameType | None) -> None:
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGTERM, interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _summary(run: RealTimeRun, course: _Course, recording: Recording, folder: Path) -> dict[str, Any]:
+    scenario = run.scenario
+    recorded = Recorded(recording.signals, recording.truth)
+    truth_us = recorded.truth["time_us"]
+    # When the plant has ended the run, what the others do until they are stopped does not belong to it.
+    ended_us = int(truth_us[-1]) if course.plant_exit is not None else run.now_us
+    verdict, course.offences = _verdict(recorded, scenario)
+    files = (recording.candump, recording.blf, recording.signals, recording.truth, folder / CYCLES, folder / SUMMARY)
+    overflows = {link.bus: link.statistics.overflows for link in run.links}
+    return {
+        "scenario": scenario.name,
+        "seed": scenario.seed,
+        "finished": course.finished,
+        "simulated_s": ended_us * 1e-6,
+        "configuration": verdict.name,
+        "offences": [asdict(offence) for offence in course.offences],
+        "laps_s": _laps(recorded, scenario),
+        **driving_summary(recorded),
+        **event_summary(run.observer.monitor, ended_us),
+        "buses": {
+            CHANNELS[bus]: statistics | {"lost": overflows[bus]}
+            for bus, statistics in run.observer.load.statistics(run.now_us * 1e-6).items()
+        },
+        "frames_lost": sum(overflows.values()),
+        "frame_log_sha256": recording.frame_log_sha256,
+        "folder": str(folder),
+        "files": [file.name + ("/" if file.is_dir() else "") for file in files],
+        "real_time": {
+            "bus": "hub" if run.options.interfaces is None else "socketcan",
+            "addresses": {CHANNELS[bus]: address for bus, address in run.addresses().items()},
+            "without": sorted(run.options.without),
+            "epoch_ns": run.supervisor.epoch_ns,
+            "interrupted": course.interrupted,
+            "failures": course.failures,
+            "out_of_order": run.observer.late,
+            "outages": {CHANNELS[link.bus]: link.statistics.outages for link in run.links},
+            "stations": stations_summary(folder / CYCLES),
+        },
+    }
+
+
+def _verdict(recorded: Recorded, scenario: Scenario) -> tuple[Verdict, list[Offence]]:
+    """The onboard computer's verdict on the operation file, and what it has refused, from its frames."""
+    verdicts = recorded.message("parameter_summary")["summary_verdict"]
+    results = recorded.message("parameter_result")
+    columns = (results[name].astype(int).tolist() for name in ("result_key", "result_status", "result_value"))
+    offences = decode_results(zip(*columns, strict=True), load_operation(scenario.operation), load_parameters())
+    return Verdict(int(verdicts[-1])) if verdicts.size else Verdict.PENDING, list(offences)
+
+
+def _laps(recorded: Recorded, scenario: Scenario) -> list[float]:
+    road = load_road(scenario, scenario.track)
+    laps = LapTimer(road.length)
+    truth = recorded.truth
+    if "x" in truth:
+        for time_us, x, y in zip(truth["time_us"], truth["x"], truth["y"], strict=True):
+            laps.update(int(time_us), road.project(float(x), float(y))[0])
+    return laps.laps_s

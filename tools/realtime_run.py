@@ -1,0 +1,362 @@
+"""A real-time run: the processes of the car on its buses, an observer beside them, and the recording."""
+
+from __future__ import annotations
+
+import shlex
+import shutil
+import socket
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from types import MappingProxyType, TracebackType
+
+from bridge.bus import CHANNELS
+from bridge.realtime.cycle_log import cycles_written
+from bridge.realtime.link import CanLink
+from bridge.realtime.observer import Observer
+from bridge.realtime.placement import Placement, Role
+from bridge.realtime.programs import program
+from bridge.realtime.supervisor import Ended, Part, Start, Supervisor
+from bridge.realtime.truth_file import TruthFile
+from bridge.realtime.vcan import ensure_interfaces
+from bridge.realtime.wired import WiredIo
+from bridge.recorder import Recorder, Recording
+from bridge.scenario import Scenario
+from bridge.surroundings import TICK_US
+from dbc.errors import RaceloopError
+from dbc.frames import Bus
+
+#: When each station's cycle begins within the period, us: the order of lock step.
+PHASES_US: Mapping[str, int] = MappingProxyType(
+    {"plant": 0, "autonomy": 1500, "obc": 4000, "raptor": 6000, "space-drive": 7000}
+)
+
+#: Parts that can be left out.
+STATIONS = tuple(PHASES_US)
+
+HUB = "hub"
+
+#: SocketCAN interfaces of CAN1, CAN3, CANA and CANS unless others are given.
+INTERFACES = ("vcan0", "vcan1", "vcan2", "vcan3")
+
+_BUSES: Mapping[str, tuple[Bus, ...]] = MappingProxyType(
+    {
+        "plant": (Bus.CAN1, Bus.CAN_A, Bus.CAN_S),
+        "autonomy": (Bus.CAN_A, Bus.CAN_S),
+        "obc": (Bus.CAN1, Bus.CAN_A, Bus.CAN_S),
+        "raptor": (Bus.CAN1, Bus.CAN3),
+        "space-drive": (Bus.CAN3,),
+    }
+)
+_ROLES: Mapping[str, Role] = MappingProxyType({"plant": Role.PLANT, "autonomy": Role.AUTONOMY})
+_WIRED = ("plant", "raptor", "space-drive")
+
+#: How often frames and truth go into the recording.
+_RECORD_US = 100_000
+
+#: Cycles that a log holds beyond the scenario's time limit.
+_SPARE_CYCLES = 6000
+
+
+@dataclass(frozen=True)
+class RealTimeOptions:
+    """How a run is set up.
+
+    Attributes
+    ----------
+    interfaces : SocketCAN interfaces of CAN1, CAN3, CANA and CANS; None: the hub.
+    hub_port : TCP port on 127.0.0.1 for socketcand clients of the hub; 0 for any that is free.
+    without : stations that are left out.
+    placement : cores and priorities.
+    """
+
+    interfaces: tuple[str, ...] | None = None
+    hub_port: int = 0
+    without: frozenset[str] = frozenset()
+    placement: Placement = field(default_factory=Placement)
+
+
+def make_options(
+    bus: str | None = None,
+    interfaces: Sequence[str] | None = None,
+    hub_port: int | None = None,
+    without: Sequence[str] = (),
+    priority: int | None = None,
+    cpu: int | None = None,
+) -> RealTimeOptions:
+    """Options from what a user gives.
+
+    Parameters
+    ----------
+    bus : "hub" or "socketcan"; None for the hub.
+    interfaces : names of four interfaces for SocketCAN; None for vcan0 to vcan3.
+
+    Raises
+    ------
+    RaceloopError
+        When they contradict each other, or name what does not exist.
+    """
+    for name in without:
+        if name not in STATIONS:
+            raise RaceloopError(f"--without {name}: no such part; allowed are {', '.join(STATIONS)}")
+    if bus == "socketcan":
+        if hub_port is not None:
+            raise RaceloopError("--port is the hub's; it does not go with --bus socketcan")
+        interfaces = INTERFACES if interfaces is None else tuple(interfaces)
+        if len(set(interfaces)) != len(Bus) or len(interfaces) != len(Bus) or not all(interfaces):
+            raise RaceloopError(
+                f"--interfaces {','.join(interfaces)}: must be {len(Bus)} different names, of"
+                f" {', '.join(CHANNELS[bus] for bus in Bus)}"
+            )
+    elif interfaces is not None:
+        raise RaceloopError("--interfaces needs --bus socketcan")
+    placement = Placement(priority, cpu)
+    chosen = None if interfaces is None else tuple(interfaces)
+    return RealTimeOptions(chosen, hub_port or 0, frozenset(without), placement)
+
+
+@dataclass(frozen=True)
+class SharedFiles:
+    """Files through which the processes of a run meet."""
+
+    folder: Path
+
+    @property
+    def hub(self) -> Path:
+        """The hub's local socket."""
+        return self.folder / "hub"
+
+    @property
+    def wires(self) -> Path:
+        """Wires between plant and actuator ECUs."""
+        return self.folder / "wires"
+
+    @property
+    def truth(self) -> Path:
+        """The plant's outputs."""
+        return self.folder / "truth"
+
+    def cycle_log(self, station: str) -> Path:
+        """The cycle log of a station."""
+        return self.folder / f"{station}.cycles"
+
+
+def make_parts(scenario: Scenario, options: RealTimeOptions, shared: SharedFiles) -> dict[str, Part]:
+    """All parts of a run by name, those that are left out too.
+
+    Raises
+    ------
+    RaceloopError
+        When an executable is not installed.
+    """
+    placement = options.placement
+    parts = {}
+    command: tuple[str, ...]
+    if options.interfaces is None:
+        command = (str(program("raceloop-hub")), f"--local={shared.hub}", f"--port={options.hub_port}", "--with-parent")
+        listens = partial(_listens, shared.hub)
+        parts[HUB] = Part(HUB, (*command, *placement.options(Role.HUB)), Start.SERVICE, listens)
+    addresses = bus_addresses(options, shared)
+    cycles = scenario.time_limit_us // TICK_US + _SPARE_CYCLES
+    for name, phase_us in PHASES_US.items():
+        log = shared.cycle_log(name)
+        arguments = [f"--bus={CHANNELS[bus]}={addresses[bus]}" for bus in _BUSES[name]]
+        arguments += [f"--wired={shared.wires}"] if name in _WIRED else []
+        arguments += [f"--truth={shared.truth}"] if name == "plant" else []
+        arguments += [f"--phase={phase_us}", f"--cycle-log={log}", f"--cycles={cycles}", "--with-parent"]
+        role = _ROLES.get(name, Role.ECU)
+        arguments += placement.options(role)
+        if role is Role.ECU:
+            command = (str(program(f"raceloop-{name}")), *arguments)
+            parts[name] = Part(name, command, is_ready=partial(_has_begun, log))
+        else:
+            # -P: a folder "tools" where the user happens to stand is none of ours.
+            command = (sys.executable, "-P", "-m", "tools.station", name, str(scenario.path), *arguments)
+            parts[name] = Part(name, command, Start.PREPARES)
+    return parts
+
+
+def bus_addresses(options: RealTimeOptions, shared: SharedFiles) -> dict[Bus, str]:
+    """Address of each bus, as links take it."""
+    if options.interfaces is None:
+        return dict.fromkeys(Bus, f"hub:{shared.hub}")
+    return {bus: f"socketcan:{name}" for bus, name in zip(Bus, options.interfaces, strict=True)}
+
+
+def _has_begun(log: Path) -> bool:
+    return cycles_written(log) is not None
+
+
+def _listens(path: Path) -> bool:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as knock:
+        try:
+            knock.connect(str(path))
+        except OSError:
+            return False
+    return True
+
+
+class RealTimeRun:
+    """A run from power-on; a context manager that ends all processes on the way out.
+
+    `start`, then `poll` at least every 20 ms, then `finish`.
+
+    Parameters
+    ----------
+    scenario : what to run.
+    options : on what buses, and where.
+    on_line : takes name and line of what a part logs.
+
+    Attributes
+    ----------
+    scenario, options : as given.
+    parts : all parts by name, those left out too.
+    links : of the observer, one per bus, once the run has started.
+    supervisor, observer : of the run; the observer is there once the run has started.
+    shared : the processes' files; gone when the run is left.
+    speed_mps : newest true speed; None without a plant.
+
+    Raises
+    ------
+    RaceloopError
+        When the run cannot be set up here: no CAN, no executable, no such core, no permission.
+    """
+
+    observer: Observer
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        options: RealTimeOptions,
+        on_line: Callable[[str, str], None] = lambda _name, _line: None,
+    ) -> None:
+        options.placement.check()
+        if options.interfaces is not None:
+            ensure_interfaces(options.interfaces)
+        self._exits = ExitStack()
+        memory = Path("/dev/shm")
+        folder = tempfile.TemporaryDirectory(prefix="raceloop-", dir=memory if memory.is_dir() else None)
+        self.shared = SharedFiles(Path(self._exits.enter_context(folder)))
+        try:
+            self.scenario = scenario
+            self.options = options
+            self.parts = make_parts(scenario, options, self.shared)
+            self._wires = self._exits.enter_context(WiredIo(self.shared.wires, create=True))
+            present = [part for name, part in self.parts.items() if name not in options.without]
+            self.supervisor = self._exits.enter_context(Supervisor(present, on_line))
+        except BaseException:
+            self._exits.close()
+            raise
+        self._recorder: Recorder | None = None
+        self.links: list[CanLink] = []
+        self._truth: TruthFile | None = None
+        self._next_record_us = 0
+        self.speed_mps: float | None = None
+
+    def __enter__(self) -> RealTimeRun:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        with self._exits:
+            self.supervisor.stop()
+            if self._recorder is not None:
+                self._recorder.abort()
+
+    @property
+    def now_us(self) -> int:
+        """Time since the epoch; negative before it."""
+        return (time.monotonic_ns() - self.supervisor.epoch_ns) // 1000
+
+    def seconds(self, time_ns: int) -> float:
+        """Time since the epoch, s, of a time on CLOCK_MONOTONIC."""
+        return (time_ns - self.supervisor.epoch_ns) * 1e-9
+
+    def addresses(self) -> dict[Bus, str]:
+        """Address of each bus."""
+        return bus_addresses(self.options, self.shared)
+
+    def cycles(self) -> dict[str, int]:
+        """Cycles that each running station has made so far."""
+        counts = ((name, cycles_written(self.shared.cycle_log(name))) for name in self.supervisor.running)
+        return {name: count for name, count in counts if count is not None}
+
+    def start(self, folder: Path | None = None) -> None:
+        """Start all processes; power-on is the epoch, about a second ahead when this returns.
+
+        Parameters
+        ----------
+        folder : of the recording; None for no recording.
+
+        Raises
+        ------
+        RaceloopError
+            When a part does not start; nothing is left running.
+        """
+        self._exits.enter_context(self.options.placement.on_other_cores())
+        self.supervisor.start(partial(self._attach, folder))
+
+    def poll(self, timeout_s: float = 0.005) -> list[Ended]:
+        """Look at processes and buses; returns the processes that have ended since the last call."""
+        ended = self.supervisor.poll(timeout_s)
+        now_us = self.now_us
+        self.observer.poll(now_us)
+        if now_us >= self._next_record_us:
+            self._next_record_us = now_us + _RECORD_US
+            self._take_truth()
+        return ended
+
+    def stop(self) -> None:
+        """End all processes; frames up to the last are heard."""
+        self.supervisor.stop(meanwhile=lambda: self.observer.poll(self.now_us))
+
+    def finish(self, folder: Path | None = None) -> Recording | None:
+        """End all processes and complete the recording.
+
+        Parameters
+        ----------
+        folder : gets the cycle logs.
+        """
+        self.stop()
+        self._take_truth()
+        self.observer.finish()
+        if folder is not None:
+            folder.mkdir(exist_ok=True)
+            for log in sorted(self.shared.folder.glob("*.cycles")):
+                shutil.copyfile(log, folder / log.name)
+        if self._recorder is None:
+            return None
+        recorder, self._recorder = self._recorder, None
+        return recorder.finish()
+
+    def command_line(self, name: str) -> str:
+        """The command that starts a part by hand, for this run."""
+        return shlex.join(self.parts[name].command_line(self.supervisor.epoch_ns))
+
+    def _attach(self, folder: Path | None, epoch_ns: int) -> None:
+        """Listen to all buses and open the recording, before any station sends."""
+        for bus, address in self.addresses().items():
+            self.links.append(self._exits.enter_context(CanLink(address, bus, epoch_ns)))
+        if self.shared.truth.exists():
+            self._truth = self._exits.enter_context(TruthFile(self.shared.truth))
+        if folder is not None:
+            names, units = ((), ()) if self._truth is None else (self._truth.names, self._truth.units)
+            self._recorder = Recorder(folder, names, units, keep=True)
+        self.observer = Observer(self.links, self._recorder.add_frames if self._recorder else None)
+
+    def _take_truth(self) -> None:
+        if self._truth is None:
+            return
+        rows = self._truth.take()
+        if not len(rows):
+            return
+        self.speed_mps = float(rows[-1, 1 + self._truth.names.index("vx")])
+        if self._recorder is not None:
+            for row in rows:
+                self._recorder.add_truth(int(row[0]), row[1:])
