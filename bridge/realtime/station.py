@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import gc
 import signal
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from types import FrameType, TracebackType
 from typing import Protocol
 
@@ -12,8 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bridge._native import lib
+from bridge.bus import CHANNELS
 from bridge.collector import collector_paused
 from bridge.realtime.cycle_log import CycleLogWriter
+from bridge.realtime.link import CanLink, LinkState
 from bridge.realtime.timer import DeadlineTimer
 from bridge.surroundings import TICK_US
 from dbc.frames import FRAME_SIZE
@@ -45,18 +47,6 @@ class Station(Protocol):
 
     def end(self) -> bytes:
         """Frames to send when the station is asked to stop."""
-        ...
-
-
-class Link(Protocol):
-    """A link to one bus; never blocks."""
-
-    def receive(self) -> NDArray[np.void]:
-        """Frames that have come in, oldest first; array of `FRAME_DTYPE`, times since the epoch of the run."""
-        ...
-
-    def send(self, frames: bytes) -> int:
-        """Send the frames that name the bus of this link; returns how many were taken."""
         ...
 
 
@@ -95,7 +85,12 @@ def in_order_of_arrival(pieces: Sequence[NDArray[np.void]]) -> bytes:
 
 
 def run_station(
-    station: Station, links: Sequence[Link], timer: DeadlineTimer, log: CycleLogWriter, stop: StopRequest
+    station: Station,
+    links: Sequence[CanLink],
+    timer: DeadlineTimer,
+    log: CycleLogWriter,
+    stop: StopRequest,
+    say: Callable[[str], None],
 ) -> None:
     """Step a station once per slot until it is over, or asked to stop.
 
@@ -106,8 +101,11 @@ def run_station(
     timer : its cycle; slot n is time n * 10 ms for the station, whatever the period.
     log : gets a record per cycle.
     stop : looked at once per cycle.
+    say : takes a line for people: buses that went down and came up again.
     """
+    states = [link.state for link in links]
     gc.collect()
+    timer.start()
     with collector_paused():
         while not (stop or station.over):
             if not timer.wait():
@@ -130,11 +128,20 @@ def run_station(
                 refused=count - taken,
                 newest_ns=_newest(pieces, timer.epoch_ns),
             )
+            for place, link in enumerate(links):
+                if link.state is not states[place]:
+                    states[place] = link.state
+                    _tell_state(link, say)
     if stop:
         _send(links, station.end())
 
 
-def _send(links: Sequence[Link], frames: bytes) -> int:
+def _tell_state(link: CanLink, say: Callable[[str], None]) -> None:
+    what = "up again" if link.state is LinkState.UP else f"down: {link.problem}"
+    say(f"{CHANNELS[link.bus]} at {link.address} is {what}")
+
+
+def _send(links: Sequence[CanLink], frames: bytes) -> int:
     return sum(link.send(frames) for link in links) if frames else 0
 
 

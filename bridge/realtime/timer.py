@@ -24,7 +24,11 @@ class DeadlineTimer:
         self.epoch_ns = epoch_ns
         self.phase_ns = phase_ns
         self.period_ns = period_ns
-        lib.deadline_timer_init(self._timer, epoch_ns, phase_ns, period_ns)
+        self.start()
+
+    def start(self) -> None:
+        """Begin with the first slot from now on, or slot 0; those before it do not count as skipped."""
+        lib.deadline_timer_init(self._timer, self.epoch_ns, self.phase_ns, self.period_ns)
 
     def wait(self) -> bool:
         """Sleep until the next slot, without the interpreter's lock. False: a signal came first, no slot was used."""
