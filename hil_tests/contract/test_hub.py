@@ -196,6 +196,24 @@ def test_a_folder_that_others_can_enter_is_no_place_for_the_socket(tmp_path: Pat
         default_path()
 
 
+def test_the_program_in_the_page_works(hub: Hub):
+    page = (Path(__file__).parents[2] / "docs" / "hub.md").read_text()
+    (program_text,) = re.findall(r"^```python\n(.*?)^```", page, re.MULTILINE | re.DOTALL)
+    with (
+        stations(hub, Bus.CAN1) as (station,),
+        subprocess.Popen(
+            [sys.executable, "-u", "-c", program_text.replace("29536", str(hub.port))],
+            stdout=subprocess.PIPE,
+            text=True,
+        ) as user,
+    ):
+        assert [(frame.id, frame.data[:5]) for frame in station.frames()] == [(0x123, b"hello")]
+        station.send(data_frame(Bus.CAN1, 0x456, b"\xab"))
+        assert user.stdout is not None
+        assert re.search(r"ID: +456 .* DL: +1 +ab ", user.stdout.readline())
+        user.terminate()
+
+
 # --- stations that do not keep to the wire ---
 
 
