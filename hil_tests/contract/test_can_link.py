@@ -42,6 +42,14 @@ def test_too_many_filters(hub: Hub):
     CanLink(f"hub:{hub.local}", Bus.CAN1, 0, filters[:128]).close()
 
 
+def test_a_hub_without_a_free_place(hub: Hub):
+    links = [CanLink(f"hub:{hub.local}", Bus.CAN1) for _ in range(64)]
+    with pytest.raises(BusError, match="the hub has no free place"):
+        CanLink(f"hub:{hub.local}", Bus.CAN1)
+    for link in links:
+        link.close()
+
+
 def test_frames_arrive_as_an_array_with_times_since_the_epoch(hub: Hub):
     epoch_ns = time.monotonic_ns()
     with CanLink(f"hub:{hub.local}", Bus.CAN1, epoch_ns) as one, CanLink(f"hub:{hub.local}", Bus.CAN1) as other:

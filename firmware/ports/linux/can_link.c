@@ -218,6 +218,8 @@ const char *can_link_error_text(int32_t error)
         return "no hub there: raceloop hub starts one";
     case EPROTO:
         return "this is not a hub of this version";
+    case EUSERS:
+        return "the hub has no free place";
     case ETIMEDOUT:
         return "the hub does not answer";
     case EPIPE:
