@@ -316,9 +316,14 @@ def test_who_connects_and_says_nothing_is_nobodys_trouble(hub: Hub):
 def test_more_stations_than_places_are_refused(hub: Hub):
     joined = [RawStation(hub).join(Bus.CAN1) for _ in range(64)]
     late = RawStation(hub)
+    later = RawStation(hub)
+    assert later.is_sent_away()
+    late.socket.send(hello(Bus.CAN1))
     assert late.answer()[2] == errno.EUSERS
     assert late.is_sent_away()
+    later.close()
     assert "64" in hub.wait_for_line("refused")
+    assert len(hub.log()) == 2
     joined[0].close()
     until(lambda: _joins(hub), "the place of the one who left")
     for station in (late, *joined):

@@ -30,7 +30,7 @@ void local_server_init(local_server *self, int32_t epoll)
     memset(self, 0, sizeof *self);
     self->epoll = epoll;
     self->listener = -1;
-    for (uint32_t place = 0; place < LOCAL_STATIONS_MAX; place++) {
+    for (uint32_t place = 0; place < LOCAL_PLACES; place++) {
         self->stations[place].fd = -1;
     }
 }
@@ -104,12 +104,13 @@ void local_server_accept(local_server *self)
         return; /* gone again */
     }
     uint32_t place = 0;
-    while (place < LOCAL_STATIONS_MAX && self->stations[place].fd >= 0) {
+    while (place < LOCAL_PLACES && self->stations[place].fd >= 0) {
         place++;
     }
-    if (place == LOCAL_STATIONS_MAX) {
+    if (place >= LOCAL_STATIONS_MAX) {
         hub_log("local station refused: %d are connected already", LOCAL_STATIONS_MAX);
-        welcome(fd, EUSERS);
+    }
+    if (place == LOCAL_PLACES) {
         (void)close(fd);
         return;
     }
@@ -144,7 +145,9 @@ static void forget(local_server *self, uint32_t place)
         hub_log("station on %s (process %d) sent %llu frames that no CAN bus carries", HUB_BUS_NAMES[station->bus],
                 station->process, (unsigned long long)station->refused);
     }
-    self->members[station->bus] &= ~bit(place);
+    if (station->joined) {
+        self->members[station->bus] &= ~bit(place);
+    }
     (void)close(station->fd);
     station->fd = -1;
 }
@@ -165,7 +168,8 @@ static int32_t hello_error(const hub_hello *hello, size_t size)
 static void greet(local_server *self, uint32_t place, const hub_hello *hello, size_t size)
 {
     local_station *station = &self->stations[place];
-    const int32_t error = hello_error(hello, size);
+    const int32_t mistake = hello_error(hello, size);
+    const int32_t error = place < LOCAL_STATIONS_MAX ? mistake : EUSERS;
     if (error == 0) {
         station->joined = true;
         station->bus = (uint8_t)hello->bus;
@@ -174,9 +178,11 @@ static void greet(local_server *self, uint32_t place, const hub_hello *hello, si
         self->members[station->bus] |= bit(place);
     }
     welcome(station->fd, error);
-    if (error != 0) {
+    if (mistake != 0) {
         hub_log("local station of process %d sent away: its hello is not that of version %d of the hub",
                 station->process, HUB_VERSION);
+    }
+    if (error != 0) {
         forget(self, place);
     }
 }
@@ -291,7 +297,7 @@ void local_server_deliver(local_server *self, uint8_t bus, uint32_t except, cons
 
 void local_server_close(local_server *self)
 {
-    for (uint32_t place = 0; place < LOCAL_STATIONS_MAX; place++) {
+    for (uint32_t place = 0; place < LOCAL_PLACES; place++) {
         if (self->stations[place].fd >= 0) {
             forget(self, place);
         }

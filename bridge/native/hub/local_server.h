@@ -9,7 +9,10 @@
 
 #include "ports/linux/hub_wire.h"
 
-enum { LOCAL_STATIONS_MAX = 64 };
+enum {
+    LOCAL_STATIONS_MAX = 64,
+    LOCAL_PLACES = LOCAL_STATIONS_MAX + 1, /* the last is for one who is told that there is no room */
+};
 
 /* One connection. */
 typedef struct local_station {
@@ -31,7 +34,7 @@ typedef struct local_server {
     dev_t device;     /* of the socket file, to remove no other */
     ino_t inode;
     uint64_t members[CAN_BUS_COUNT]; /* bit n: place n has joined the bus */
-    local_station stations[LOCAL_STATIONS_MAX];
+    local_station stations[LOCAL_PLACES];
     char path[sizeof(((struct sockaddr_un *)0)->sun_path)];
 } local_server;
 
