@@ -12,6 +12,7 @@ import json
 import mmap
 import os
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from struct import Struct
 from types import TracebackType
@@ -107,6 +108,8 @@ class TruthWriter:
 class TruthFile:
     """Reads such a file, from the beginning and then what has been added.
 
+    When a plant that was started again has put a new file in its place, the reader goes on with that one.
+
     Parameters
     ----------
     path : of the file.
@@ -120,6 +123,39 @@ class TruthFile:
     ConfigurationError
         When it cannot be read, or is no such file.
     """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._open = _OpenFile(path)
+        self.names: tuple[str, ...] = self._open.names
+        self.units: tuple[str, ...] = self._open.units
+
+    def __enter__(self) -> TruthFile:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def take(self) -> NDArray[np.float64]:
+        """Rows since the last call, shape (n, 1 + len(names)): time in us, then the outputs."""
+        rows = self._open.take()
+        if not len(rows) and self._open.was_replaced():
+            with suppress(ConfigurationError):  # the new one is still being made
+                newer = _OpenFile(self._path)
+                self._open.close()
+                self._open = newer
+                rows = newer.take()
+        return rows
+
+    def close(self) -> None:
+        """Close the file."""
+        self._open.close()
+
+
+class _OpenFile:
+    """One file, whatever happens to its name."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -141,16 +177,7 @@ class TruthFile:
         self.names: tuple[str, ...] = tuple(description["names"])
         self.units: tuple[str, ...] = tuple(description["units"])
 
-    def __enter__(self) -> TruthFile:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
-        self.close()
-
     def take(self) -> NDArray[np.float64]:
-        """Rows since the last call, shape (n, 1 + len(names)): time in us, then the outputs."""
         (written,) = _WRITTEN.unpack(self._pread(_WRITTEN.size, _WRITTEN_AT))
         size = self._columns * 8
         data = self._pread((written - self._taken) * size, self._start + self._taken * size)
@@ -158,8 +185,13 @@ class TruthFile:
         self._taken += len(rows)
         return rows
 
+    def was_replaced(self) -> bool:
+        try:
+            return os.stat(self._path).st_ino != os.fstat(self._file.fileno()).st_ino
+        except FileNotFoundError:
+            return False  # between the two
+
     def close(self) -> None:
-        """Close the file."""
         self._file.close()
 
     def _pread(self, size: int, offset: int) -> bytes:

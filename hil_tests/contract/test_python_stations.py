@@ -230,11 +230,14 @@ def test_the_time_limit_ends_the_plant_with_its_status(tmp_path: Path, hub: Hub,
         text = text.replace(f"\n{key}", f"\n{key}{folder}/")
     scenario = tmp_path / "scenario.yaml"
     scenario.write_text(text)
-    with running(plant=command("plant", hub, tmp_path, scenario=scenario)) as run:
+    with running(plant=command("plant", hub, tmp_path, "--period=5000", scenario=scenario)) as run:
         assert run.ended("plant") == PlantExit.TIME_UP
         assert run.report()["reason"] == "time limit"
     with TruthFile(tmp_path / "truth") as truth:
-        assert truth.take()[-1, 0] == 500_000
+        assert truth.take()[-1, 0] == 500_000  # of its own time, which ran twice as fast
+    log = read_cycle_log(tmp_path / "plant.cycles")
+    assert log.period_ns == 5_000_000
+    assert log.records["slot"][-1] == 50
 
 
 def test_a_hub_that_goes_and_comes_is_told(tmp_path: Path, hub: Hub):

@@ -37,15 +37,24 @@ def test_rows_come_out_as_they_went_in(tmp_path: Path):
         assert np.array_equal(reader.take(), rows)
 
 
-def test_a_new_writer_leaves_the_old_file_to_its_reader(tmp_path: Path):
+def test_a_reader_takes_all_of_an_old_file_and_goes_on_with_the_new_one(tmp_path: Path):
     path = tmp_path / "truth"
-    with TruthWriter(path, NAMES, UNITS, capacity=10) as writer:
-        writer.add(1, np.ones(3))
-        with TruthFile(path) as reader, TruthWriter(path, NAMES, UNITS, capacity=10):
-            writer.add(2, np.ones(3))
-            assert reader.take()[:, 0].tolist() == [1.0, 2.0]
-    with TruthFile(path) as reader:
-        assert reader.take().shape == (0, 4)
+    with TruthWriter(path, NAMES, UNITS, capacity=10) as first:
+        first.add(1, np.ones(3))
+        with TruthFile(path) as reader:
+            path.unlink()
+            assert reader.take()[:, 0].tolist() == [1.0]
+            assert reader.take().shape == (0, 4)  # nothing has its name now
+            path.write_bytes(b"")
+            assert reader.take().shape == (0, 4)  # nor is it whole
+            with TruthWriter(path, NAMES, UNITS, capacity=10) as second:
+                first.add(2, np.ones(3))
+                second.add(3, np.ones(3))
+                assert reader.take()[:, 0].tolist() == [2.0]
+                assert reader.take()[:, 0].tolist() == [3.0]
+                first.add(4, np.ones(3))
+                second.add(5, np.ones(3))
+                assert reader.take()[:, 0].tolist() == [5.0]
 
 
 def test_it_outlives_a_writer_that_is_killed(tmp_path: Path):
