@@ -10,6 +10,7 @@ import socket
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -290,6 +291,21 @@ def test_unused_bytes_and_stray_fields_do_not_travel(hub: Hub):
         assert (first.sender, first.dlc, first.data) == (0, 3, b"abc" + bytes(5))
         assert (second.sender, second.dlc, second.flags, second.data) == (0, 5, Flag.REMOTE, bytes(8))
         assert 0 < first.time_us < 2**62
+
+
+def test_stamps_are_those_of_sending_however_late_the_hub_is(hub: Hub):
+    """The kernel stamps what a station sends, so a hub that is stopped moves no stamp."""
+    with stations(hub, Bus.CAN1, Bus.CAN1) as (sender, receiver):
+        hub.process.send_signal(signal.SIGSTOP)
+        state = Path(f"/proc/{hub.process.pid}/stat")
+        until(lambda: state.read_text().rpartition(")")[2].split()[0] == "T", "the hub to stop")
+        before_us = time.monotonic_ns() // 1000
+        sender.send(data_frame(Bus.CAN1, 1))
+        after_us = time.monotonic_ns() // 1000
+        until(lambda: time.monotonic_ns() // 1000 > after_us + 50_000, "time to pass")
+        hub.process.send_signal(signal.SIGCONT)
+        (frame,) = receiver.frames()
+        assert before_us - 1000 <= frame.time_us <= after_us + 1000
 
 
 def test_error_frames_reach_everybody_whatever_the_filters(hub: Hub):
