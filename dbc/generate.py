@@ -97,6 +97,7 @@ def _table_row(facts: MessageFacts) -> str:
         "crc_start": facts.crc.start if facts.crc else 0,
         "crc_length": facts.crc.length if facts.crc else 0,
         "sender": int(facts.sender),
+        "receivers": sum(1 << station for station in facts.receivers),
         "cycle_ms": facts.cycle_ms,
         "timeout_ms": facts.timeout_ms,
     }

@@ -49,6 +49,7 @@ class MessageFacts:
     database : stem of the DBC file.
     message : the message as cantools parsed it.
     bus, sender : where it travels and who owns it.
+    receivers : who any of its signals is for.
     cycle_ms, timeout_ms : nominal period and age at which the content is stale; 0 for none.
     frames_per_cycle : frames of this message sent in one period.
     counter, crc : signals that hold the message counter and the CRC, if any.
@@ -58,6 +59,7 @@ class MessageFacts:
     message: Message
     bus: Bus
     sender: Station
+    receivers: frozenset[Station]
     cycle_ms: int
     timeout_ms: int
     frames_per_cycle: int
@@ -143,12 +145,16 @@ def _message_facts(path: Path, stem: str, bus: Bus, message: Message) -> Message
     senders = [name for name in message.senders if name in STATIONS]
     if len(senders) != 1:
         raise ConfigurationError(path, message.name, f"needs exactly one sender out of {', '.join(sorted(STATIONS))}")
+    receivers = {name for signal in message.signals for name in signal.receivers}
+    if not receivers or not receivers <= STATIONS.keys():
+        raise ConfigurationError(path, message.name, f"needs receivers, all out of {', '.join(sorted(STATIONS))}")
     attributes: Mapping[str, Any] = message.dbc.attributes if message.dbc is not None else {}
     return MessageFacts(
         database=stem,
         message=message,
         bus=bus,
         sender=STATIONS[senders[0]],
+        receivers=frozenset(STATIONS[name] for name in receivers),
         cycle_ms=_attribute(attributes, "GenMsgCycleTime", 0),
         timeout_ms=_attribute(attributes, "GenMsgTimeout", 0),
         frames_per_cycle=_attribute(attributes, "FramesPerCycle", 1),

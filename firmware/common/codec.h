@@ -37,6 +37,7 @@ typedef struct codec_message {
     uint8_t crc_start;      /* first bit of the little-endian CRC; at a byte boundary */
     uint8_t crc_length;     /* bits, 16; 0: no CRC */
     uint8_t sender;         /* enum can_station of the owner */
+    uint8_t receivers;      /* bit n: enum can_station n is meant to read it */
     uint16_t cycle_ms;      /* nominal period; 0: on event */
     uint16_t timeout_ms;    /* age after which the content is stale; 0: never */
 } codec_message;

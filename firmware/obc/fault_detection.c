@@ -55,6 +55,11 @@ static void detect_executive(fault_detection *self, const fault_sources *sources
     self->control_overruns = control->overruns;
 }
 
+static void detect_stop(const fault_sources *sources, fault_conditions *conditions)
+{
+    set(conditions, FAULT_COMPUTER_STOPPING, sources->stopping, 0U);
+}
+
 static void detect_launch(const fault_sources *sources, fault_conditions *conditions)
 {
     const uint64_t timeout_us = (uint64_t)milliseconds(sources, PARAMETER_LAUNCH_REQUEST_TIMEOUT) * 1000U;
@@ -206,6 +211,7 @@ void fault_detection_step(fault_detection *self, const fault_sources *sources, f
     memset(conditions, 0, sizeof *conditions);
     detect_parameters(self, sources, conditions);
     detect_executive(self, sources, conditions);
+    detect_stop(sources, conditions);
     detect_launch(sources, conditions);
     detect_sensors(sources, conditions);
     detect_nodes(sources, conditions);

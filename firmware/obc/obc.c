@@ -160,6 +160,7 @@ static void run_monitor(void *context)
         .launch_seen = self->launch.rx.seen,
         .launch_wanted = self->launch.wanted,
         .driving = driving(self),
+        .stopping = self->stopping,
         .control_task = OBC_TASK_CONTROL,
         .dbw_violations = self->dbw_violations,
     };
@@ -323,6 +324,11 @@ void obc_init(obc *self)
     parameters_init(&self->parameters);
     control_init(&self->control);
     self->ct_state = CT_DEFAULT;
+}
+
+void obc_stop(obc *self)
+{
+    self->stopping = true;
 }
 
 void obc_tick(obc *self, uint64_t now_us, const can_frame *in, uint32_t in_count, can_outbox *out)

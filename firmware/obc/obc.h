@@ -70,6 +70,7 @@ typedef struct obc {
     dbw_command dbw;
     uint8_t dbw_violations; /* of the last tick */
     uint8_t ct_state;
+    bool stopping; /* told to stop; until restart */
     status_report status;
 } obc;
 
@@ -83,5 +84,8 @@ const executive_task *obc_schedule(void);
  * now_us: monotonic. in: frames received since the last tick, of any bus, in_count of them; may be null with 0.
  * out: not null; receives the frames sent (about 40 at most). */
 void obc_tick(obc *self, uint64_t now_us, const can_frame *in, uint32_t in_count, can_outbox *out);
+
+/* The computer is about to be switched off: full brake from the next tick on, until obc_init. */
+void obc_stop(obc *self);
 
 #endif

@@ -107,6 +107,7 @@ static void step_sys_state(raptor *self, const raptor_wired_in *wired, uint64_t 
     const uint8_t before = self->sys.state;
     const raptor_sys_input input = {
         .subsystems_ready = subsystems_ready(self),
+        .stopping = self->stopping,
         .emergency = self->commands.faults != 0U || (self->diagnostic.bits & RAPTOR_DIAG_TRIGGERS) != 0U,
         .track_flag_valid = wired->race_control.linked,
         .track_flag = wired->race_control.track_flag,
@@ -199,6 +200,11 @@ void raptor_init(raptor *self, const raptor_config *config)
     raptor_command_monitor_init(&self->commands);
     raptor_sys_init(&self->sys);
     raptor_demand_init(&self->demand);
+}
+
+void raptor_stop(raptor *self)
+{
+    self->stopping = true;
 }
 
 void raptor_tick(raptor *self, uint64_t now_us, const raptor_wired_in *wired, const can_frame *in, uint32_t in_count,

@@ -85,6 +85,7 @@ typedef struct raptor {
     float speed;                             /* m/s, from the undriven wheels */
     float wheel_speed[4];                    /* m/s at the tread, of the last finite readings */
     bool wheel_speeds_valid;                 /* all four read now */
+    bool stopping;                           /* told to stop; until restart */
     uint8_t report_counters[RAPTOR_REPORTS]; /* message counters of the reports, by row of their table */
 } raptor;
 
@@ -99,6 +100,10 @@ void raptor_init(raptor *self, const raptor_config *config);
  */
 void raptor_tick(raptor *self, uint64_t now_us, const raptor_wired_in *wired, const can_frame *in, uint32_t in_count,
                  raptor_wired_out *drive, can_outbox *out);
+
+/* The Raptor is about to be switched off: EMERGENCY_SHUTDOWN and full brake from the next tick on, until raptor_init.
+ * One that is in PWR_OFF brakes already, and stays there. */
+void raptor_stop(raptor *self);
 
 /* The static schedule, for checks: returns the table, `count` receives the number of its tasks. */
 const executive_task *raptor_schedule(uint32_t *count);

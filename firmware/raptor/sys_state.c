@@ -110,7 +110,7 @@ static uint8_t choose_state(raptor_sys_machine *self, const raptor_config *confi
     if (state == RAPTOR_SYS_PWR_OFF || state == RAPTOR_SYS_EMERGENCY_SHUTDOWN) {
         return state;
     }
-    if (input->ct_state == RAPTOR_CT_EMRG_SHUTDOWN || (supervised(state) && input->emergency) ||
+    if (input->stopping || input->ct_state == RAPTOR_CT_EMRG_SHUTDOWN || (supervised(state) && input->emergency) ||
         (engine_enabled(state) && input->safety_switch != SWITCH_ENGINE)) {
         return RAPTOR_SYS_EMERGENCY_SHUTDOWN;
     }

@@ -19,6 +19,7 @@ enum raptor_test_result {
 /* Everything that one step reads. */
 typedef struct raptor_sys_input {
     bool subsystems_ready; /* six Space Drive positions valid, onboard computer alive, car at rest */
+    bool stopping;         /* the Raptor was told to stop: an emergency in every state but PWR_OFF */
     bool emergency;        /* an emergency-stop trigger or a command fault is present */
     bool track_flag_valid; /* race control is linked */
     uint8_t track_flag;    /* enum raptor_track_flag */

@@ -187,6 +187,13 @@ void space_drive_init(space_drive *self, const space_drive_config *config)
     self->brake_demand = SPACE_DRIVE_BRAKE_STOP_PA;
 }
 
+void space_drive_stop(space_drive *self)
+{
+    if (!self->shutdown) {
+        self->emergency |= SPACE_DRIVE_EMERGENCY_STOPPING;
+    }
+}
+
 void space_drive_tick(space_drive *self, uint64_t now_us, const space_drive_wired_in *wired, const can_frame *in,
                       uint32_t in_count, space_drive_wired_out *drive, can_outbox *out)
 {

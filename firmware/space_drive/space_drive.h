@@ -62,6 +62,7 @@ enum space_drive_emergency {
     SPACE_DRIVE_EMERGENCY_BRAKE_REQUESTS = 2, /* brake requests stopped or failed their check */
     SPACE_DRIVE_EMERGENCY_STEER_SENSORS = 4,  /* fewer than two trusted steering channels */
     SPACE_DRIVE_EMERGENCY_BRAKE_SENSORS = 8,  /* fewer than two trusted brake channels */
+    SPACE_DRIVE_EMERGENCY_STOPPING = 16,      /* told to stop */
 };
 
 /* State of one Space Drive. A zeroed one applies full brake. */
@@ -94,6 +95,10 @@ void space_drive_init(space_drive *self, const space_drive_config *config);
  */
 void space_drive_tick(space_drive *self, uint64_t now_us, const space_drive_wired_in *wired, const can_frame *in,
                       uint32_t in_count, space_drive_wired_out *drive, can_outbox *out);
+
+/* The Space Drive is about to be switched off: emergency brake from the next tick on, until space_drive_init.
+ * One that was shut down in order brakes already, and reports no emergency. */
+void space_drive_stop(space_drive *self);
 
 /* The static schedule, for checks: returns the table, `count` receives the number of its tasks. */
 const executive_task *space_drive_schedule(uint32_t *count);

@@ -73,6 +73,11 @@ BREAKS: list[tuple[str, Callable[[Path], None], str]] = [
         r"steering_cmd: needs exactly one sender",
     ),
     (
+        "no receiver",
+        edit('base_to_car_heartbeat : 0|4@1+ (1,0) [0|0] "" OBC', 'base_to_car_heartbeat : 0|4@1+ (1,0) [0|0] "" TEAM'),
+        r"base_to_car_summary: needs receivers, all out of",
+    ),
+    (
         "no such counter",
         edit('BO_ 1402 "steering_motor_cmd_counter"', 'BO_ 1402 "steering_counter"'),
         r"steering_cmd: attribute names the signal steering_counter, which does not exist",

@@ -150,6 +150,7 @@ CASES: list[tuple[str, str, Provoke]] = [
     ("raptor_emergency", "restarted", signal("misc_report", sys_state=1)),
     ("raptor_emergency", "engine off", signal("misc_report", sys_state=10)),
     ("race_control_lost", "silent", silent("base_to_car_summary")),
+    ("computer_stopping", "told", lambda harness: lib.obc_stop(harness.obc)),
     ("race_control_lost", "frozen", signal("base_to_car_summary", base_to_car_heartbeat=3)),
 ]
 

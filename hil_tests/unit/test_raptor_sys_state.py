@@ -106,6 +106,7 @@ def test_transition(state: int, seconds: float, changes: dict[str, int | bool], 
 def test_emergency_requests_from_every_state(state: int) -> None:
     supervised = state not in {PWR_ON, SUBSYS_CON, PWR_OFF}
     assert settle(state, emergency=True, safety_switch=0) == (EMERGENCY if supervised else state)
+    assert settle(state, stopping=True, safety_switch=0) == (PWR_OFF if state == PWR_OFF else EMERGENCY)
     assert settle(state, ct_state=12) == (PWR_OFF if state == PWR_OFF else EMERGENCY)
 
 
