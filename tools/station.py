@@ -24,7 +24,7 @@ from bridge.realtime.cycle_log import CycleLogWriter
 from bridge.realtime.link import CanLink, Filter
 from bridge.realtime.placement import Placement
 from bridge.realtime.plant_station import PlantExit, PlantStation
-from bridge.realtime.process import end_with_parent, place
+from bridge.realtime.process import end_with_parent, keep_memory, schedule
 from bridge.realtime.station import Station, StopRequest, run_station
 from bridge.realtime.supervisor import READY
 from bridge.realtime.timer import DeadlineTimer
@@ -72,7 +72,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         with ExitStack() as exits:
             if options.with_parent:
                 end_with_parent()
-            Placement(options.priority, options.cpu).check()
+            Placement(options.priority, options.cpu).check()  # now rather than when it is ready
             addresses = _addresses(options.bus, BUSES[name])
             scenario = load_scenario(options.scenario)
             if name == "plant":
@@ -128,7 +128,8 @@ def _run(
 ) -> None:
     """Get ready, learn the epoch, and run the station until it ends."""
     _warm_up(scenario)
-    place(options.priority, options.cpu)
+    schedule(options.priority, options.cpu)
+    keep_memory(options.priority is not None, say)
     epoch_ns = _epoch(options.epoch)
     stop = exits.enter_context(StopRequest())
     timer = DeadlineTimer(epoch_ns, options.phase * 1000, options.period * 1000)
@@ -136,8 +137,10 @@ def _run(
         exits.enter_context(CanLink(address, bus, epoch_ns, filters.get(bus))) for bus, address in addresses.items()
     ]
     cycles = options.cycles or scenario.time_limit_us // TICK_US + _SPARE
-    log = CycleLogWriter(options.cycle_log, options.station, timer, cycles, options.priority, options.cpu)
-    run_station(station, links, timer, exits.enter_context(log), stop, say)
+    log = exits.enter_context(
+        CycleLogWriter(options.cycle_log, options.station, timer, cycles, options.priority, options.cpu)
+    )
+    run_station(station, links, timer, log, stop, say)
 
 
 def _warm_up(scenario: Scenario) -> None:

@@ -81,11 +81,10 @@ static void touch_stack(void)
     (void)stack[0];
 }
 
-int32_t realtime_lock_memory(char *text)
+static int32_t lock_memory(int flags, char *text)
 {
     text[0] = '\0';
-    touch_stack();
-    if (mlockall(MCL_CURRENT | MCL_FUTURE) == 0) {
+    if (mlockall(flags) == 0) {
         return 0;
     }
     const int32_t refusal = errno;
@@ -93,6 +92,17 @@ int32_t realtime_lock_memory(char *text)
                    "memory is not locked, page faults may delay a cycle: run as root, or allow it with 'ulimit -l "
                    "unlimited' (memlock in /etc/security/limits.conf)");
     return refusal;
+}
+
+int32_t realtime_lock_memory(char *text)
+{
+    touch_stack();
+    return lock_memory(MCL_CURRENT | MCL_FUTURE, text);
+}
+
+int32_t realtime_keep_memory(char *text)
+{
+    return lock_memory(MCL_CURRENT | MCL_FUTURE | MCL_ONFAULT, text);
 }
 
 void realtime_end_with_parent(void)

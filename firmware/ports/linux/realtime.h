@@ -18,6 +18,10 @@ int32_t realtime_schedule(int32_t priority, int32_t cpu, char *text);
  */
 int32_t realtime_lock_memory(char *text);
 
+/* The same for a process that maps far more than it uses: a page stays in place once it was touched, so what a cycle
+ * needs must have run before. Returns as realtime_lock_memory. */
+int32_t realtime_keep_memory(char *text);
+
 /* Get SIGTERM when the thread that started this process ends. One that ended before this call is not noticed. */
 void realtime_end_with_parent(void);
 
