@@ -43,13 +43,13 @@ class Hub:
     ready : the line with which it said so.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, *options: str) -> None:
         folder.mkdir(exist_ok=True)
         self.local = folder / "hub"
         self._log = folder / "hub.log"
         with self._log.open("ab") as log:
             self.process = subprocess.Popen(
-                [program("raceloop-hub"), "--local", self.local, "--port", "0"],
+                [program("raceloop-hub"), "--local", self.local, "--port", "0", *options],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.PIPE,
                 stderr=log,

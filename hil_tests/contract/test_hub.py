@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import gc
+import os
 import re
 import signal
 import socket
@@ -135,13 +136,18 @@ def test_port_in_use_is_one_line_and_leaves_no_socket_file(hub: Hub, tmp_path: P
     ("arguments", "words"),
     [
         ([], ["nothing to listen on", "--local PATH", "--port N"]),
-        (["--port", "65536"], ["65536", "0 to 65535"]),
-        (["--port", "-1"], ["-1", "0 to 65535"]),
-        (["--port", "12x"], ["12x", "0 to 65535"]),
-        (["--port", ""], ["''", "0 to 65535"]),
+        (["--port", "65536"], ["--port 65536", "0 to 65535"]),
+        (["--port", "-1"], ["--port -1", "0 to 65535"]),
+        (["--port=12x"], ["--port 12x", "0 to 65535"]),
+        (["--port", ""], ["--port :", "0 to 65535"]),
+        (["--priority", "0"], ["--priority 0", "1 to 99"]),
+        (["--cpu", "x"], ["--cpu x", "0 to 1023"]),
+        (["--port=0", "--cpu", "1023"], ["no processor 1023"]),
         (["--port"], ["--port", "needs a value"]),
         (["--local"], ["--local", "needs a value"]),
-        (["--locale", "x"], ["--locale"]),
+        (["--locale", "x"], ["--locale", "--help"]),
+        (["--por", "0"], ["--por", "--help"]),
+        (["--with-parent=1"], ["--with-parent=1", "--help"]),
         (["-x"], ["-x"]),
         (["CAN1"], ["CAN1"]),
         (["--local", "x" * 108], ["longer than a socket's may be"]),
@@ -150,6 +156,41 @@ def test_port_in_use_is_one_line_and_leaves_no_socket_file(hub: Hub, tmp_path: P
 )
 def test_mistakes_on_the_command_line_are_one_line(arguments: list[str], words: list[str]):
     assert_one_line(run_hub(*arguments), *words)
+
+
+def test_help_names_every_option():
+    answer = run_hub("--help")
+    assert (answer.returncode, answer.stderr) == (0, "")
+    words = re.findall(r"^  (--\S+)", answer.stdout, re.MULTILINE)
+    assert words == ["--local", "--port", "--priority", "--cpu", "--with-parent"]
+
+
+def test_priority_and_processor_are_taken_or_refused_in_one_line(tmp_path: Path):
+    cpu = max(os.sched_getaffinity(0))
+    options = ("--priority=3", f"--cpu={cpu}")
+    probe = "import os; os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(3))"
+    if subprocess.run([sys.executable, "-c", probe], capture_output=True, check=False).returncode != 0:
+        assert_one_line(run_hub("--local", tmp_path / "hub", *options), "no permission for SCHED_FIFO priority 3")
+        assert list(tmp_path.iterdir()) == []
+        return
+    with Hub(tmp_path, *options) as hub:
+        process = hub.process.pid
+        assert os.sched_getscheduler(process) & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO
+        assert os.sched_getparam(process).sched_priority == 3
+        assert os.sched_getaffinity(process) == {cpu}
+        assert_forwards(hub, log_lines=0)
+
+
+def test_it_ends_with_its_parent(tmp_path: Path):
+    """The parent starts it and is killed; nothing of the hub is left."""
+    start = "import subprocess, sys; subprocess.Popen(sys.argv[1:]).wait()"
+    command = [program("raceloop-hub"), "--local", tmp_path / "hub", "--with-parent"]
+    with subprocess.Popen([sys.executable, "-c", start, *map(str, command)], stdout=subprocess.PIPE) as parent:
+        assert parent.stdout is not None
+        assert parent.stdout.readline().startswith(b"raceloop-hub: local")
+        parent.kill()
+        assert parent.stdout.read() == b"", "the end of the pipe is the end of the hub"
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_either_door_may_stay_closed(tmp_path: Path):

@@ -7,7 +7,6 @@ import random
 import pytest
 
 from bridge._native import ffi, lib
-from bridge.bus import CHANNELS
 from dbc.frames import FRAME_SIZE, Bus, Flag, Frame, iterate
 
 SEED = 31
@@ -32,11 +31,6 @@ def random_frame(generator: random.Random, bus: int) -> Frame:
         generator.randrange(8),
         generator.randbytes(8),
     )
-
-
-def test_names_of_the_buses_are_those_of_recordings():
-    for bus, name in CHANNELS.items():
-        assert ffi.string(lib.HUB_BUS_NAMES[bus]).decode() == name
 
 
 @pytest.mark.parametrize("bus", list(Bus))

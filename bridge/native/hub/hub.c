@@ -9,13 +9,6 @@ enum {
     NS_PER_US = 1000,
 };
 
-const char *const HUB_BUS_NAMES[CAN_BUS_COUNT] = {
-    [CAN_BUS_1] = "CAN1",
-    [CAN_BUS_3] = "CAN3",
-    [CAN_BUS_A] = "CANA",
-    [CAN_BUS_S] = "CANS",
-};
-
 static bool can_exist(const can_frame *frame)
 {
     /* The identifier of an error frame is a set of error classes, as wide as an extended one. */

@@ -7,9 +7,6 @@
 
 #include "ports/linux/can_link.h"
 
-/* Names of the buses, as channels of log files and of socketcand; a contract test compares them with Python's. */
-extern const char *const HUB_BUS_NAMES[CAN_BUS_COUNT];
-
 /* What one bus carried. Zeroed at the start. */
 typedef struct hub_bus {
     uint64_t newest_ns; /* stamp of the newest frame, CLOCK_MONOTONIC */

@@ -1,17 +1,13 @@
 /* raceloop-hub: the car's four CAN buses on a machine whose kernel has none.
  *
- *     raceloop-hub [--local PATH] [--port N]
- *
  * One thread forwards every frame at once to whoever is on its bus; nobody waits for anybody. Our own stations come
  * through the local socket, any socketcand client through TCP on 127.0.0.1.
  */
 #define _GNU_SOURCE
 
 #include <errno.h>
-#include <getopt.h>
 #include <signal.h>
 #include <stdio.h>
-#include <stdlib.h>
 #include <string.h>
 #include <sys/epoll.h>
 #include <sys/signalfd.h>
@@ -19,25 +15,21 @@
 #include <unistd.h>
 
 #include "hub.h"
-#include "hub_log.h"
+#include "hub_options.h"
 #include "hub_poll.h"
 #include "local_server.h"
 #include "ports/linux/deadline_timer.h"
 #include "ports/linux/kernel_stamp.h"
+#include "ports/linux/process_log.h"
+#include "ports/linux/realtime.h"
 #include "socketcand_server.h"
 
 enum {
     EVENTS_MAX = 32,
     NS_PER_MS = 1000000,
     NS_PER_US = 1000,
-    PORT_MAX = 65535,
-    USAGE_ERROR = 2,
+    EXIT_MISTAKE = 2,
 };
-
-typedef struct options {
-    const char *local; /* null: no local socket */
-    int32_t port;      /* -1: no TCP */
-} options;
 
 typedef struct hub {
     int32_t epoll;
@@ -51,44 +43,6 @@ typedef struct hub {
 } hub;
 
 static hub the_hub; /* too large for the stack */
-
-static int32_t read_options(options *self, int count, char **arguments)
-{
-    static const struct option KNOWN[] = {
-        {"local", required_argument, NULL, 'l'}, {"port", required_argument, NULL, 'p'}, {NULL, 0, NULL, 0}};
-    *self = (options){.port = -1};
-    opterr = 0;
-    int found;
-    while ((found = getopt_long(count, arguments, ":", KNOWN, NULL)) != -1) {
-        if (found == 'l') {
-            self->local = optarg;
-        } else if (found == 'p') {
-            char *end;
-            errno = 0;
-            const long port = strtol(optarg, &end, 10);
-            if (errno != 0 || end == optarg || *end != '\0' || port < 0 || port > PORT_MAX) {
-                hub_log("--port is '%s'; must be a whole number from 0 to %d", optarg, PORT_MAX);
-                return USAGE_ERROR;
-            }
-            self->port = (int32_t)port;
-        } else if (found == ':') {
-            hub_log("%s needs a value", arguments[optind - 1]);
-            return USAGE_ERROR;
-        } else {
-            hub_log("unknown option %s; there are --local PATH and --port N", arguments[optind - 1]);
-            return USAGE_ERROR;
-        }
-    }
-    if (optind < count) {
-        hub_log("unknown argument %s; there are --local PATH and --port N", arguments[optind]);
-        return USAGE_ERROR;
-    }
-    if (self->local == NULL && self->port < 0) {
-        hub_log("nothing to listen on; give --local PATH, --port N or both");
-        return USAGE_ERROR;
-    }
-    return 0;
-}
 
 static const char *local_error_text(int32_t error)
 {
@@ -115,23 +69,29 @@ static int32_t watch_signals(int32_t epoll)
     return fd < 0 ? errno : hub_watch(epoll, fd, EPOLLIN, HUB_SOURCE_SIGNAL, 0);
 }
 
-static int32_t open_doors(hub *self, const options *chosen)
+static int32_t open_doors(hub *self, const hub_options *chosen)
 {
     if (chosen->local != NULL) {
         const int32_t error = local_server_open(&self->local, chosen->local);
         if (error != 0) {
-            hub_log("--local %s: %s", chosen->local, local_error_text(error));
-            return USAGE_ERROR;
+            process_log("--local %s: %s", chosen->local, local_error_text(error));
+            return EXIT_MISTAKE;
         }
     }
     if (chosen->port >= 0) {
         const int32_t error = socketcand_server_open(&self->socketcand, (uint16_t)chosen->port);
         if (error != 0) {
-            hub_log("--port %d: %s", chosen->port, error == EADDRINUSE ? "the port is in use" : strerror(error));
-            return USAGE_ERROR;
+            process_log("--port %d: %s", chosen->port, error == EADDRINUSE ? "the port is in use" : strerror(error));
+            return EXIT_MISTAKE;
         }
     }
     return 0;
+}
+
+static void close_doors(hub *self)
+{
+    local_server_close(&self->local);
+    socketcand_server_close(&self->socketcand);
 }
 
 static void say_ready(const hub *self)
@@ -227,31 +187,57 @@ static void run(hub *self)
     }
 }
 
-int main(int count, char **arguments)
+/* Everything before the first frame. Returns 0 or an exit status, after a line that says why. */
+static int32_t set_up(hub *self, const hub_options *options)
 {
-    options chosen;
-    const int32_t mistake = read_options(&chosen, count, arguments);
-    if (mistake != 0) {
-        return mistake;
+    char text[REALTIME_TEXT_MAX];
+    if (options->with_parent) {
+        realtime_end_with_parent();
     }
-    hub *self = &the_hub;
-    (void)signal(SIGPIPE, SIG_IGN); /* who no longer reads our lines does not end the buses */
-    (void)umask(S_IRWXG | S_IRWXO); /* the local socket is the user's own */
+    if (realtime_schedule(options->priority, options->cpu, text) != 0) {
+        process_log("%s", text);
+        return EXIT_MISTAKE;
+    }
     self->epoll = epoll_create1(EPOLL_CLOEXEC);
     const int32_t error = self->epoll < 0 ? errno : watch_signals(self->epoll);
     if (error != 0) {
-        hub_log("cannot wait for events: %s", strerror(error));
-        return USAGE_ERROR;
+        process_log("cannot wait for events: %s", strerror(error));
+        return EXIT_MISTAKE;
     }
     local_server_init(&self->local, self->epoll);
     socketcand_server_init(&self->socketcand, self->epoll);
     self->look = look_at_clocks();
-    const int32_t status = open_doors(self, &chosen);
+    int32_t status = open_doors(self, options);
+    if (status == 0 && options->priority > 0 && realtime_lock_memory(text) != 0) {
+        process_log("%s", text);
+        status = EXIT_MISTAKE;
+    }
+    if (status != 0) {
+        close_doors(self);
+    }
+    return status;
+}
+
+int main(int count, char **arguments)
+{
+    hub_options options;
+    char mistake[HUB_MISTAKE_MAX];
+    if (hub_options_parse(&options, count, arguments, mistake) != 0) {
+        process_log("%s", mistake);
+        return EXIT_MISTAKE;
+    }
+    if (options.help) {
+        (void)printf("usage: raceloop-hub OPTION...\n%s", hub_options_help());
+        return 0;
+    }
+    (void)signal(SIGPIPE, SIG_IGN); /* who no longer reads our lines does not end the buses */
+    (void)umask(S_IRWXG | S_IRWXO); /* the local socket is the user's own */
+    hub *self = &the_hub;
+    const int32_t status = set_up(self, &options);
     if (status == 0) {
         say_ready(self);
         run(self);
+        close_doors(self);
     }
-    local_server_close(&self->local);
-    socketcand_server_close(&self->socketcand);
     return status;
 }

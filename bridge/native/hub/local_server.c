@@ -10,8 +10,9 @@
 #include <unistd.h>
 
 #include "hub.h"
-#include "hub_log.h"
 #include "hub_poll.h"
+#include "ports/linux/ecu_options.h"
+#include "ports/linux/process_log.h"
 
 enum {
     BACKLOG = 16,
@@ -108,7 +109,7 @@ void local_server_accept(local_server *self)
         place++;
     }
     if (place >= LOCAL_STATIONS_MAX) {
-        hub_log("local station refused: %d are connected already", LOCAL_STATIONS_MAX);
+        process_log("local station refused: %d are connected already", LOCAL_STATIONS_MAX);
     }
     if (place == LOCAL_PLACES) {
         (void)close(fd);
@@ -127,7 +128,7 @@ void local_server_accept(local_server *self)
     (void)setsockopt(fd, SOL_SOCKET, SO_SNDBUF, &bytes, sizeof bytes);
     const int32_t error = hub_watch(self->epoll, fd, EPOLLIN, HUB_SOURCE_LOCAL_STATION, place);
     if (error != 0) {
-        hub_log("local station of process %d refused: %s", station->process, strerror(error));
+        process_log("local station of process %d refused: %s", station->process, strerror(error));
         (void)close(fd);
         return;
     }
@@ -138,12 +139,12 @@ static void forget(local_server *self, uint32_t place)
 {
     local_station *station = &self->stations[place];
     if (station->lost > 0) {
-        hub_log("station on %s (process %d) lost %llu frames: it read too slowly", HUB_BUS_NAMES[station->bus],
-                station->process, (unsigned long long)station->lost);
+        process_log("station on %s (process %d) lost %llu frames: it read too slowly", ecu_bus_name(station->bus),
+                    station->process, (unsigned long long)station->lost);
     }
     if (station->refused > 0) {
-        hub_log("station on %s (process %d) sent %llu frames that no CAN bus carries", HUB_BUS_NAMES[station->bus],
-                station->process, (unsigned long long)station->refused);
+        process_log("station on %s (process %d) sent %llu frames that no CAN bus carries", ecu_bus_name(station->bus),
+                    station->process, (unsigned long long)station->refused);
     }
     if (station->joined) {
         self->members[station->bus] &= ~bit(place);
@@ -179,8 +180,8 @@ static void greet(local_server *self, uint32_t place, const hub_hello *hello, si
     }
     welcome(station->fd, error);
     if (mistake != 0) {
-        hub_log("local station of process %d sent away: its hello is not that of version %d of the hub",
-                station->process, HUB_VERSION);
+        process_log("local station of process %d sent away: its hello is not that of version %d of the hub",
+                    station->process, HUB_VERSION);
     }
     if (error != 0) {
         forget(self, place);
@@ -232,8 +233,8 @@ void local_server_read(local_server *self, uint32_t place, local_packet *packet)
         return;
     }
     if (!whole || (size_t)size % sizeof(can_frame) != 0) {
-        hub_log("station on %s (process %d) sent away: a packet of it is not 1 to %d frames",
-                HUB_BUS_NAMES[station->bus], station->process, HUB_BATCH_MAX);
+        process_log("station on %s (process %d) sent away: a packet of it is not 1 to %d frames",
+                    ecu_bus_name(station->bus), station->process, HUB_BATCH_MAX);
         forget(self, place);
         return;
     }
@@ -247,8 +248,8 @@ void local_server_refuse(local_server *self, uint32_t place, uint32_t frames)
 {
     local_station *station = &self->stations[place];
     if (station->refused == 0) {
-        hub_log("station on %s (process %d) sends frames that no CAN bus carries; they are dropped",
-                HUB_BUS_NAMES[station->bus], station->process);
+        process_log("station on %s (process %d) sends frames that no CAN bus carries; they are dropped",
+                    ecu_bus_name(station->bus), station->process);
     }
     station->refused += frames;
 }
@@ -269,8 +270,8 @@ static void deliver_one(local_station *station, const can_frame *frames, uint32_
     /* Frames behind a loss that could not be told are lost too, else its place in the stream would be wrong. */
     if (station->untold > 0 || send_packet(station, frames, count * sizeof frames[0]) != 0) {
         if (station->lost == 0) {
-            hub_log("station on %s (process %d) reads too slowly: it loses frames", HUB_BUS_NAMES[station->bus],
-                    station->process);
+            process_log("station on %s (process %d) reads too slowly: it loses frames", ecu_bus_name(station->bus),
+                        station->process);
         }
         station->lost += count;
         station->untold += count;

@@ -12,9 +12,9 @@
 #include <sys/socket.h>
 #include <unistd.h>
 
-#include "hub.h"
-#include "hub_log.h"
 #include "hub_poll.h"
+#include "ports/linux/ecu_options.h"
+#include "ports/linux/process_log.h"
 #include "socketcand_text.h"
 
 enum {
@@ -87,8 +87,8 @@ static void forget(socketcand_server *self, uint32_t place)
 {
     socketcand_client *client = &self->clients[place];
     if (client->lost > 0) {
-        hub_log("socketcand client 127.0.0.1:%u on %s lost %llu frames: it read too slowly", client->port,
-                HUB_BUS_NAMES[client->bus], (unsigned long long)client->lost);
+        process_log("socketcand client 127.0.0.1:%u on %s lost %llu frames: it read too slowly", client->port,
+                    ecu_bus_name(client->bus), (unsigned long long)client->lost);
     }
     end_quiet(self, place);
     self->members[client->bus] &= ~bit(place);
@@ -144,7 +144,7 @@ static void answer(socketcand_server *self, uint32_t place, const char *text)
     if (append(client, text, (uint32_t)strlen(text))) {
         socketcand_server_flush(self, place);
     } else {
-        hub_log("socketcand client 127.0.0.1:%u sent away: it does not read its answers", client->port);
+        process_log("socketcand client 127.0.0.1:%u sent away: it does not read its answers", client->port);
         forget(self, place);
     }
 }
@@ -156,7 +156,7 @@ static void complain(socketcand_server *self, uint32_t place, const char *proble
     (void)snprintf(text, sizeof text, "< error %s >", problem);
     if (!client->complained) {
         client->complained = true;
-        hub_log("socketcand client 127.0.0.1:%u: %s", client->port, problem);
+        process_log("socketcand client 127.0.0.1:%u: %s", client->port, problem);
     }
     answer(self, place, text);
 }
@@ -179,8 +179,8 @@ void socketcand_server_accept(socketcand_server *self)
     (void)setsockopt(fd, SOL_SOCKET, SO_SNDBUF, &bytes, sizeof bytes);
     if (place == SOCKETCAND_CLIENTS_MAX || hub_watch(self->epoll, fd, EPOLLIN, HUB_SOURCE_TCP_CLIENT, place) != 0) {
         static const char FULL[] = "< error no place is free >";
-        hub_log("socketcand client 127.0.0.1:%u refused: %d are connected already", ntohs(peer.sin_port),
-                SOCKETCAND_CLIENTS_MAX);
+        process_log("socketcand client 127.0.0.1:%u refused: %d are connected already", ntohs(peer.sin_port),
+                    SOCKETCAND_CLIENTS_MAX);
         (void)send(fd, FULL, sizeof FULL - 1U, MSG_DONTWAIT | MSG_NOSIGNAL);
         (void)close(fd);
         return;
@@ -311,8 +311,8 @@ static void deliver_one(socketcand_client *client, const char *text, uint32_t le
     }
     if (client->untold > 0 || !append(client, text, length)) {
         if (client->lost == 0) {
-            hub_log("socketcand client 127.0.0.1:%u on %s reads too slowly: it loses frames", client->port,
-                    HUB_BUS_NAMES[client->bus]);
+            process_log("socketcand client 127.0.0.1:%u on %s reads too slowly: it loses frames", client->port,
+                        ecu_bus_name(client->bus));
         }
         client->lost++;
         client->untold++;

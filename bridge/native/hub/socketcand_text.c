@@ -4,7 +4,7 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "hub.h"
+#include "ports/linux/ecu_options.h"
 
 enum {
     WORDS_MAX = 3 + CAN_DATA_MAX, /* send ID DLC BYTE... */
@@ -132,7 +132,7 @@ static void understand(const words *said, socketcand_request *request)
     } else if (is_word(verb, "open") && said->count == 2U) {
         request->kind = SOCKETCAND_UNKNOWN_CHANNEL;
         for (uint8_t bus = 0; bus < CAN_BUS_COUNT; bus++) {
-            if (is_word(&said->items[1], HUB_BUS_NAMES[bus]) || is_word(&said->items[1], INTERFACES[bus])) {
+            if (is_word(&said->items[1], ecu_bus_name(bus)) || is_word(&said->items[1], INTERFACES[bus])) {
                 request->kind = SOCKETCAND_OPEN;
                 request->bus = bus;
             }
