@@ -16,7 +16,7 @@
 
 enum {
     BACKLOG = 16,
-    SEND_BUFFER_BYTES = 1 << 20, /* the kernel takes its own maximum when that is less */
+    SEND_BUFFER_BYTES = 1 << 20, /* the kernel doubles it and books some 770 for a packet of one frame */
     NS_PER_S = 1000000000,
     HELLO_HEAD = sizeof(hub_hello) - sizeof(((hub_hello *)0)->filters),
 };
@@ -125,7 +125,9 @@ void local_server_accept(local_server *self)
     const int on = 1;
     const int bytes = SEND_BUFFER_BYTES;
     (void)setsockopt(fd, SOL_SOCKET, SO_TIMESTAMPNS, &on, sizeof on); /* without it: the time of reading */
-    (void)setsockopt(fd, SOL_SOCKET, SO_SNDBUF, &bytes, sizeof bytes);
+    if (setsockopt(fd, SOL_SOCKET, SO_SNDBUFFORCE, &bytes, sizeof bytes) != 0) {
+        (void)setsockopt(fd, SOL_SOCKET, SO_SNDBUF, &bytes, sizeof bytes); /* up to what the system allows */
+    }
     const int32_t error = hub_watch(self->epoll, fd, EPOLLIN, HUB_SOURCE_LOCAL_STATION, place);
     if (error != 0) {
         process_log("local station of process %d refused: %s", station->process, strerror(error));
