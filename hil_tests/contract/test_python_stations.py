@@ -233,11 +233,14 @@ def test_the_time_limit_ends_the_plant_with_its_status(tmp_path: Path, hub: Hub,
     with running(plant=command("plant", hub, tmp_path, "--period=5000", scenario=scenario)) as run:
         assert run.ended("plant") == PlantExit.TIME_UP
         assert run.report()["reason"] == "time limit"
+    # Of its own time, which ran twice as fast as the clock; a busy machine may have carried it beyond.
     with TruthFile(tmp_path / "truth") as truth:
-        assert truth.take()[-1, 0] == 500_000  # of its own time, which ran twice as fast
+        times_us = truth.take()[:, 0]
+    assert times_us[-1] >= 500_000
+    assert np.all(times_us[:-1] < 500_000)
     log = read_cycle_log(tmp_path / "plant.cycles")
     assert log.period_ns == 5_000_000
-    assert log.records["slot"][-1] == 50
+    assert log.records["slot"][-1] * 10_000 == times_us[-1]
 
 
 def test_a_hub_that_goes_and_comes_is_told(tmp_path: Path, hub: Hub):
