@@ -48,6 +48,8 @@ def _dispatch(options: argparse.Namespace, console: Console) -> int:
         from tools.hub import hub  # noqa: PLC0415
 
         hub(options.local, options.port)
+    if options.command == "jitter":
+        return _jitter(options, console)
     from tools.bench import bench  # noqa: PLC0415
 
     return bench(console, options.repeats, options.simulated_s)
@@ -68,6 +70,25 @@ def _run(options: argparse.Namespace, console: Console) -> int:
 
     chosen = make_options(options.bus, options.interfaces, options.port, options.without, options.priority, options.cpu)
     return run_realtime(options.scenario, options.out, console, chosen)
+
+
+def _jitter(options: argparse.Namespace, console: Console) -> int:
+    if options.scenario is not None:
+        for name in ("rate", "seconds"):
+            if getattr(options, name) is not None:
+                raise RaceloopError(f"--{name} does not go with --scenario, which has its own")
+    from bridge.scenario import load_scenario  # noqa: PLC0415
+    from tools.jitter.command import Outputs, jitter  # noqa: PLC0415
+    from tools.jitter.setup import Setup  # noqa: PLC0415
+    from tools.jitter.stimulus import ECUS  # noqa: PLC0415
+    from tools.realtime_run import make_options  # noqa: PLC0415
+    from tools.run import find_scenario  # noqa: PLC0415
+
+    scenario = None if options.scenario is None else load_scenario(find_scenario(options.scenario))
+    chosen = make_options(options.bus, options.interfaces, priority=options.priority or None, cpu=options.cpu)
+    setup = Setup(ECUS[options.ecu], options.rate or 100.0, options.seconds or 30.0, chosen)
+    outputs = Outputs.of(options.out, options.json, options.trace)
+    return jitter(setup, None if options.load == "none" else options.load, scenario, outputs, console)
 
 
 def make_parser() -> argparse.ArgumentParser:
@@ -125,6 +146,36 @@ def make_parser() -> argparse.ArgumentParser:
     )
     hub.add_argument("--local", type=Path, metavar="PATH", help="socket for raceloop's stations (default: your own)")
 
+    jitter = commands.add_parser("jitter", help="measure how regular an ECU's cycle is, beside the machine's own limit")
+    jitter.add_argument("--ecu", choices=["obc", "raptor", "space-drive"], default="obc", help="(default: obc)")
+    jitter.add_argument("--rate", type=_rate, metavar="HZ", help="cycles per second, 10 to 1000 (default: 100)")
+    jitter.add_argument("--seconds", type=_positive, metavar="S", help="of each measurement (default: 30)")
+    jitter.add_argument(
+        "--load",
+        choices=["none", "cpu", "memory", "kernel", "io", "all"],
+        default="none",
+        help="measure idle, then under this load of stress-ng (default: none)",
+    )
+    jitter.add_argument(
+        "--scenario", metavar="NAME", help="measure inside the whole loop, for this scenario: file or shipped name"
+    )
+    jitter.add_argument(
+        "--priority", type=_priority, default=80, metavar="N", help="SCHED_FIFO, 1 to 99; 0: none (default: 80)"
+    )
+    jitter.add_argument("--cpu", type=int, metavar="N", help="core to measure on (default: the last)")
+    jitter.add_argument("--bus", choices=["hub", "socketcan"], help="what carries the buses (default: hub)")
+    jitter.add_argument(
+        "--interfaces",
+        type=lambda text: text.split(","),
+        metavar="A,B,C,D",
+        help="CAN interfaces of CAN1, CAN3, CANA, CANS (default: vcan0,vcan1,vcan2,vcan3)",
+    )
+    jitter.add_argument("--json", type=Path, metavar="FILE", help="write all figures")
+    jitter.add_argument("--trace", type=Path, metavar="FILE", help="write a trace for the Perfetto viewer")
+    jitter.add_argument(
+        "--out", type=Path, metavar="DIR", help="write jitter.json, jitter.pftrace and a picture, jitter.svg"
+    )
+
     bench = commands.add_parser("bench", help="measure the loop against the plain loop a user would write")
     bench.add_argument("--repeats", type=_count, default=5, help="pairs of runs (default: 5)")
     bench.add_argument(
@@ -141,6 +192,19 @@ def _positive(text: str) -> float:
     if not 0.0 < value < math.inf:
         raise argparse.ArgumentTypeError(f"is {text!r}; must be a number above 0")
     return value
+
+
+def _rate(text: str) -> float:
+    rate = _positive(text)
+    if not 10.0 <= rate <= 1000.0:
+        raise argparse.ArgumentTypeError(f"is {text!r}; must be 10 to 1000")
+    return rate
+
+
+def _priority(text: str) -> int:
+    if not text.isdecimal() or int(text) > 99:
+        raise argparse.ArgumentTypeError(f"is {text!r}; must be a whole number from 0 to 99")
+    return int(text)
 
 
 def _port(text: str) -> int:

@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import signal
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 from rich.console import Console
@@ -31,6 +27,7 @@ from tools.realtime_run import RealTimeOptions, RealTimeRun
 from tools.realtime_summary import stations_summary
 from tools.recorded import Recorded
 from tools.run import SUMMARY, conclude, find_scenario, load_road
+from tools.stop_signal import asked_to_stop_is_ctrl_c
 from tools.summary import driving_summary, event_summary, show_summary, write_summary
 
 CYCLES = "cycles"
@@ -58,7 +55,7 @@ def run_realtime(scenario_name: str | None, folder: Path, console: Console, opti
     database.check_sources()
     scenario = load_scenario(find_scenario(scenario_name))
     load_road(scenario, scenario.track)
-    with _asked_to_stop_is_ctrl_c(), RealTimeRun(scenario, options, _say) as run:
+    with asked_to_stop_is_ctrl_c(), RealTimeRun(scenario, options, _say) as run:
         run.start(folder)
         course = _Course(run, scenario)
         try:
@@ -166,20 +163,6 @@ def _announce(run: RealTimeRun, console: Console) -> None:
 def _say(name: str, line: str) -> None:
     """Forward a line of a part's log."""
     print(f"{name}: {line.removeprefix(f'raceloop-{name}: ')}", file=sys.stderr, flush=True)
-
-
-@contextmanager
-def _asked_to_stop_is_ctrl_c() -> Iterator[None]:
-    """Let SIGTERM end the run as Ctrl-C does, so that it is recorded and nothing is left running."""
-
-    def interrupt(_number: int, _frame: FrameType | None) -> None:
-        raise KeyboardInterrupt
-
-    before = signal.signal(signal.SIGTERM, interrupt)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
 
 
 def _summary(run: RealTimeRun, course: _Course, recording: Recording, folder: Path) -> dict[str, Any]:

@@ -154,31 +154,61 @@ def make_parts(scenario: Scenario, options: RealTimeOptions, shared: SharedFiles
     RaceloopError
         When an executable is not installed.
     """
-    placement = options.placement
-    parts = {}
-    command: tuple[str, ...]
-    if options.interfaces is None:
-        command = (str(program("raceloop-hub")), f"--local={shared.hub}", f"--port={options.hub_port}", "--with-parent")
-        listens = partial(_listens, shared.hub)
-        parts[HUB] = Part(HUB, (*command, *placement.options(Role.HUB)), Start.SERVICE, listens)
-    addresses = bus_addresses(options, shared)
+    parts = {} if options.interfaces is not None else {HUB: hub_part(options, shared)}
     cycles = scenario.time_limit_us // TICK_US + _SPARE_CYCLES
     for name, phase_us in PHASES_US.items():
-        log = shared.cycle_log(name)
-        arguments = [f"--bus={CHANNELS[bus]}={addresses[bus]}" for bus in _BUSES[name]]
-        arguments += [f"--wired={shared.wires}"] if name in _WIRED else []
-        arguments += [f"--truth={shared.truth}"] if name == "plant" else []
-        arguments += [f"--phase={phase_us}", f"--cycle-log={log}", f"--cycles={cycles}", "--with-parent"]
         role = _ROLES.get(name, Role.ECU)
-        arguments += placement.options(role)
         if role is Role.ECU:
-            command = (str(program(f"raceloop-{name}")), *arguments)
-            parts[name] = Part(name, command, is_ready=partial(_has_begun, log))
+            parts[name] = ecu_part(name, options, shared, cycles)
         else:
             # -P: a folder "tools" where the user happens to stand is none of ours.
-            command = (sys.executable, "-P", "-m", "tools.station", name, str(scenario.path), *arguments)
-            parts[name] = Part(name, command, Start.PREPARES)
+            command = [sys.executable, "-P", "-m", "tools.station", name, str(scenario.path)]
+            command += _station_arguments(name, options, shared, cycles)
+            command += [f"--truth={shared.truth}"] if name == "plant" else []
+            command += [f"--phase={phase_us}", *options.placement.options(role)]
+            parts[name] = Part(name, tuple(command), Start.PREPARES)
     return parts
+
+
+def hub_part(options: RealTimeOptions, shared: SharedFiles) -> Part:
+    """The hub of a run.
+
+    Raises
+    ------
+    RaceloopError
+        When the executable is not installed.
+    """
+    command = [str(program("raceloop-hub")), f"--local={shared.hub}", f"--port={options.hub_port}", "--with-parent"]
+    command += options.placement.options(Role.HUB)
+    return Part(HUB, tuple(command), Start.SERVICE, partial(_listens, shared.hub))
+
+
+def ecu_part(name: str, options: RealTimeOptions, shared: SharedFiles, cycles: int, period_us: int = TICK_US) -> Part:
+    """An ECU of a run.
+
+    Parameters
+    ----------
+    name : of `STATIONS`.
+    cycles : that its log holds.
+    period_us : of its cycle; its phase keeps its place within the period.
+
+    Raises
+    ------
+    RaceloopError
+        When the executable is not installed.
+    """
+    command = [str(program(f"raceloop-{name}")), *_station_arguments(name, options, shared, cycles)]
+    command += [f"--phase={PHASES_US[name] * period_us // TICK_US}", f"--period={period_us}"]
+    command += options.placement.options(Role.ECU)
+    return Part(name, tuple(command), is_ready=partial(_has_begun, shared.cycle_log(name)))
+
+
+def _station_arguments(name: str, options: RealTimeOptions, shared: SharedFiles, cycles: int) -> list[str]:
+    """What the command line of every station has."""
+    addresses = bus_addresses(options, shared)
+    arguments = [f"--bus={CHANNELS[bus]}={addresses[bus]}" for bus in _BUSES[name]]
+    arguments += [f"--wired={shared.wires}"] if name in _WIRED else []
+    return [*arguments, f"--cycle-log={shared.cycle_log(name)}", f"--cycles={cycles}", "--with-parent"]
 
 
 def bus_addresses(options: RealTimeOptions, shared: SharedFiles) -> dict[Bus, str]:

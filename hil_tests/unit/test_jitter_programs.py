@@ -88,7 +88,7 @@ def test_ended_also_when_the_measurement_is_interrupted():
 
 def case(tmp_path: Path, **changes: object) -> CyclicTest:
     values: dict[str, object] = {
-        "period_ns": 10_000_000, "cycles": 20, "deadline_ns": 123 * SECOND + 9_000_000, "priority": 80, "cpu": 1,
+        "period_ns": 10_000_000, "deadline_ns": 123 * SECOND + 9_000_000, "priority": 80, "cpu": 1,
         "result": tmp_path / "cyclictest.json",
     }  # fmt: skip
     return CyclicTest(**(values | changes))  # type: ignore[arg-type]
@@ -112,7 +112,7 @@ def test_its_grid_goes_through_the_deadline(tmp_path: Path, period_ns: int, dead
 
 def test_command_line(tmp_path: Path):
     command = case(tmp_path).command("cyclictest", 120 * SECOND)
-    for word in ("--interval=10000", "--loops=20", "--secaligned=9000", "--priority=80", "--affinity=1"):
+    for word in ("--interval=10000", "--loops=720000", "--secaligned=9000", "--priority=80", "--affinity=1"):
         assert word in command
     without = case(tmp_path, priority=None, cpu=None).command("cyclictest", 120 * SECOND)
     assert "--policy=other" in without
@@ -147,19 +147,30 @@ def test_a_result_that_is_none(text: str):
 
 
 @has_cyclictest
-def test_real_cyclictest(tmp_path: Path):
+def test_real_cyclictest_runs_until_it_is_stopped(tmp_path: Path):
     while not may_start(now := time.monotonic_ns()):
         time.sleep(0.05)
     test = case(tmp_path, priority=None, cpu=None, deadline_ns=now)
     started = test.start(now)
     assert started is not None
     with started:
-        started.wait(30.0)
-    figures = test.read().figures()
-    assert figures.count == 20
+        while time.monotonic_ns() < now + 2 * SECOND:  # it begins within the first of these
+            assert started.running
+            time.sleep(0.01)
+        figures = test.finish(started).figures()
+    assert 0 < figures.count < 500
     assert figures.minimum is not None
     assert figures.maximum is not None
     assert 0.0 <= figures.minimum <= figures.maximum
+
+
+@has_cyclictest
+def test_cyclictest_that_left_no_result(tmp_path: Path):
+    test = case(tmp_path, priority=None, cpu=None, result=tmp_path / "nowhere" / "result.json")
+    started = test.start(time.monotonic_ns())
+    assert started is not None
+    with started, pytest.raises(RaceloopError, match=r"^cyclictest"):
+        test.finish(started)
 
 
 @has_cyclictest

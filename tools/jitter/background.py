@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from types import TracebackType
 
+from bridge.realtime.process import end_with_parent
 from dbc.errors import RaceloopError
 
 #: How long a program may take to end when asked to, s.
@@ -25,6 +26,8 @@ def find_program(name: str) -> str | None:
 
 class Background:
     """A program that runs beside; a context manager. It has a process group of its own, which ends with it.
+
+    When this process is killed, the kernel asks the program to stop.
 
     Parameters
     ----------
@@ -42,7 +45,12 @@ class Background:
         self._words = tempfile.TemporaryFile()  # noqa: SIM115 (closed in __exit__)
         try:
             self._process = subprocess.Popen(
-                command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=self._words, process_group=0
+                command,
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=self._words,
+                process_group=0,
+                preexec_fn=end_with_parent,  # noqa: PLW1509 (one system call)
             )
         except OSError as error:
             self._words.close()
@@ -81,6 +89,18 @@ class Background:
             raise RaceloopError(f"{self.name} has not ended in time") from error
         if status != 0:
             raise RaceloopError(f"{self.name}: {self._last_words() or f'ended with status {status}'}")
+
+    def stop(self, timeout_s: float) -> None:
+        """Ask it to stop, if it has not ended yet, and wait until it has.
+
+        Raises
+        ------
+        RaceloopError
+            As `wait`.
+        """
+        with suppress(ProcessLookupError):
+            self._process.terminate()
+        self.wait(timeout_s)
 
     def _end(self) -> None:
         """End the whole group: first asked, then forced."""

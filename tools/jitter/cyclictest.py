@@ -25,14 +25,20 @@ _START_NS = 500_000_000
 
 _SECOND_NS = 1_000_000_000
 
+#: It ends by itself after this, should nobody stop it.
+_LONGEST_NS = 2 * 3600 * _SECOND_NS
+
+#: How long it may take to write its result, s.
+_PATIENCE_S = 10.0
+
 
 @dataclass(frozen=True)
 class CyclicTest:
-    """One run of cyclictest.
+    """One run of cyclictest, until it is stopped.
 
     Attributes
     ----------
-    period_ns, cycles : of its thread.
+    period_ns : of its thread.
     deadline_ns : any one of the deadlines of its grid, CLOCK_MONOTONIC; all others are whole periods away.
     priority : SCHED_FIFO priority, or None.
     cpu : core, or None for no pinning.
@@ -40,7 +46,6 @@ class CyclicTest:
     """
 
     period_ns: int
-    cycles: int
     deadline_ns: int
     priority: int | None
     cpu: int | None
@@ -53,8 +58,9 @@ class CyclicTest:
     def command(self, program: str, second_ns: int) -> list[str]:
         """Command line; second_ns: the full second of CLOCK_MONOTONIC at which it will begin."""
         command = [
-            program, "--quiet", "--threads=1", f"--interval={self.period_ns // 1000}", f"--loops={self.cycles}",
-            f"--secaligned={self.offset_us(second_ns)}", f"--histogram={_HISTOGRAM_US}", f"--json={self.result}",
+            program, "--quiet", "--threads=1", f"--interval={self.period_ns // 1000}",
+            f"--loops={_LONGEST_NS // self.period_ns}", f"--secaligned={self.offset_us(second_ns)}",
+            f"--histogram={_HISTOGRAM_US}", f"--json={self.result}",
             "--default-system",  # measure the machine as it is, power management included
         ]  # fmt: skip
         command += ["--policy=other"] if self.priority is None else [f"--priority={self.priority}"]
@@ -65,14 +71,21 @@ class CyclicTest:
         return command
 
     def start(self, now_ns: int) -> Background | None:
-        """Start it; None when there is no cyclictest. now_ns: must be `may_start`."""
+        """Start it; None when there is no cyclictest. now_ns: CLOCK_MONOTONIC; must be `may_start`."""
         program = find_program("cyclictest")
         if program is None:
             return None
         return Background("cyclictest", self.command(program, (now_ns // _SECOND_NS + 1) * _SECOND_NS))
 
-    def read(self) -> Distribution:
-        """Wake-up lateness, whole microseconds rounded down, when it has ended."""
+    def finish(self, started: Background) -> Distribution:
+        """Stop it and read what it has found: wake-up lateness in whole microseconds, rounded down.
+
+        Raises
+        ------
+        RaceloopError
+            When it has failed: with its own words.
+        """
+        started.stop(_PATIENCE_S)
         try:
             return parse(self.result.read_text(encoding="utf-8"))
         except OSError as error:

@@ -52,12 +52,11 @@ def text_histogram(distribution: Distribution, bins_per_decade: int = 8) -> str:
 
 def text_axis(bins_per_decade: int = 8) -> str:
     """The axis under lines of `text_histogram`: a mark and a label where each decade begins."""
-    labels = ("1 us", "10", "100", "1 ms", "10", "100")
-    return "".join(f"|{label}".ljust(bins_per_decade) for label in labels[:-1]) + f"|{labels[-1]}"
+    return "".join(f"|{label}".ljust(bins_per_decade) for label in ("1 us", "10", "100", "1 ms", "10")).rstrip()
 
 
 # The picture, in SVG units.
-_BINS_PER_DECADE = 20
+_BINS_PER_DECADE = 12
 _PANEL_WIDTH, _PANEL_HEIGHT = 470, 190
 _LEFT, _RIGHT, _TOP, _BOTTOM = 48, 26, 26, 30
 _ONE = 0.2  # height of a single sample, in decades

@@ -173,7 +173,7 @@ class Measurement:
     @cached_property
     def command_ns(self) -> Stamps:
         """When each of the command's frames was on the bus, CLOCK_MONOTONIC."""
-        return self._stamps(self.ecu.command)
+        return stamps_of(self.ecu.command, self.frames, self.cycles.log.epoch_ns)
 
     @cached_property
     def spacing_error(self) -> Distribution:
@@ -188,7 +188,8 @@ class Measurement:
         ages = {name: age_at_output(newest_input(records, bus), output) for bus, name in self.ecu.inputs.items()}
         if self.ecu.station == Station.OBC and AUTONOMY in self.stations:
             autonomy = self.stations[AUTONOMY].log.records
-            estimates = output_of_cycle(autonomy, self._stamps(ESTIMATE))
+            estimate_ns = stamps_of(ESTIMATE, self.frames, self.cycles.log.epoch_ns)
+            estimates = output_of_cycle(autonomy, estimate_ns)
             sensed = newest_input(autonomy, Bus.CAN_S)
             behind = source_of(newest_input(records, Bus.CAN_A), estimates, sensed)
             ages["sensors, by the estimate"] = age_at_output(behind, output)
@@ -216,7 +217,7 @@ class Measurement:
                 (
                     execution,
                     Row("on the core", Distribution.of(times.processor), part=True),
-                    Row("preempted", Distribution.of(times.preempted), part=True),
+                    Row("off the core", Distribution.of(times.preempted), part=True),
                 ),
                 ("Execution time", (execution,)),
             ),
@@ -239,7 +240,7 @@ class Measurement:
             parts = {
                 "the timer": float(times.lateness[place] - times.queued[place]),
                 "waiting for the core": float(times.queued[place]),
-                "preemption": float(times.preempted[place]),
+                "off the core": float(times.preempted[place]),
                 "the program": float(times.processor[place]),
             }
             cycles.append(
@@ -250,7 +251,7 @@ class Measurement:
                     timer=parts["the timer"],
                     queued=parts["waiting for the core"],
                     processor=parts["the program"],
-                    preempted=parts["preemption"],
+                    preempted=parts["off the core"],
                     preemptions=int(record["preemptions"]),
                     page_faults=int(record["page_faults"]),
                     cpu=int(record["cpu"]),
@@ -264,9 +265,10 @@ class Measurement:
             )
         return cycles
 
-    def _stamps(self, message: str) -> Stamps:
-        """When the frames of a message were on their bus, ns on CLOCK_MONOTONIC."""
-        codec = database.message(message)
-        mine = (self.frames["bus"] == codec.bus) & (self.frames["id"] == codec.frame_id)
-        stamps: Stamps = self.frames["time_us"][mine].astype(np.int64) * 1000 + self.cycles.log.epoch_ns
-        return stamps
+
+def stamps_of(message: str, frames: NDArray[np.void], epoch_ns: int) -> Stamps:
+    """When the frames of a message were on their bus, ns on CLOCK_MONOTONIC."""
+    codec = database.message(message)
+    mine = (frames["bus"] == codec.bus) & (frames["id"] == codec.frame_id)
+    stamps: Stamps = frames["time_us"][mine].astype(np.int64) * 1000 + epoch_ns
+    return stamps

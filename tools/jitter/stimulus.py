@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -94,6 +95,17 @@ class Stimulus:
         """Cycles that it lasts."""
         return len(self.bounds) - 1
 
+    def save(self, path: Path) -> None:
+        """Write it to a file."""
+        with path.open("wb") as file:
+            np.savez(file, frames=self.frames, bounds=self.bounds, wired=self.wired)
+
+    @classmethod
+    def load(cls, path: Path) -> Stimulus:
+        """Read it from a file that `save` wrote."""
+        with np.load(path) as arrays:
+            return cls(arrays["frames"], arrays["bounds"], arrays["wired"])
+
 
 def record_stimulus(ecu: Ecu, cycles: int, scenario: Scenario | None = None) -> Stimulus:
     """Run the bench in lock step from power-on and keep what one ECU hears.
@@ -125,7 +137,7 @@ def record_stimulus(ecu: Ecu, cycles: int, scenario: Scenario | None = None) -> 
     order = np.lexsort((everything["time_us"], delivered))
     bounds = np.searchsorted(delivered[order], np.arange(cycles + 1))
     return Stimulus(
-        frames=everything[order],
+        frames=everything[order][: bounds[-1]],
         bounds=bounds.astype(np.int64),
         wired=np.frombuffer(bytes(wired), dtype=np.uint8).reshape(cycles, -1),
     )
