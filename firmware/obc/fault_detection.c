@@ -55,9 +55,10 @@ static void detect_executive(fault_detection *self, const fault_sources *sources
     self->control_overruns = control->overruns;
 }
 
-static void detect_stop(const fault_sources *sources, fault_conditions *conditions)
+static void detect_computer(const fault_sources *sources, fault_conditions *conditions)
 {
     set(conditions, FAULT_COMPUTER_STOPPING, sources->stopping, 0U);
+    set(conditions, FAULT_SECOND_COMPUTER, sources->doubled_id != 0U, sources->doubled_id);
 }
 
 static void detect_launch(const fault_sources *sources, fault_conditions *conditions)
@@ -211,7 +212,7 @@ void fault_detection_step(fault_detection *self, const fault_sources *sources, f
     memset(conditions, 0, sizeof *conditions);
     detect_parameters(self, sources, conditions);
     detect_executive(self, sources, conditions);
-    detect_stop(sources, conditions);
+    detect_computer(sources, conditions);
     detect_launch(sources, conditions);
     detect_sensors(sources, conditions);
     detect_nodes(sources, conditions);

@@ -32,6 +32,7 @@ typedef struct fault_sources {
     bool launch_wanted;
     bool driving;           /* control moves the car */
     bool stopping;          /* the computer was told to stop */
+    uint32_t doubled_id;    /* of a message of ours that another station sent; 0: none */
     uint32_t control_task;  /* index of the control task in the executive's schedule */
     uint8_t dbw_violations; /* enum dbw_violation bits of the previous cycle */
 } fault_sources;

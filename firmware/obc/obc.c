@@ -99,11 +99,16 @@ static void receive_autonomy(obc *self, const can_frame *frame)
 static void run_receive(void *context)
 {
     obc *self = context;
+    self->doubled_id = 0U;
     for (uint32_t i = 0U; i < self->io.in_count; i++) {
         const can_frame *frame = &self->io.in[i];
         const codec_message *message = NULL;
         if (codec_accept(frame, &message) != CODEC_OK) {
             self->rejected_frames++;
+            continue;
+        }
+        if (message->sender == CAN_STATION_OBC) {
+            self->doubled_id = frame->id; /* nobody hears itself */
             continue;
         }
         switch (message->bus) {
@@ -161,6 +166,7 @@ static void run_monitor(void *context)
         .launch_wanted = self->launch.wanted,
         .driving = driving(self),
         .stopping = self->stopping,
+        .doubled_id = self->doubled_id,
         .control_task = OBC_TASK_CONTROL,
         .dbw_violations = self->dbw_violations,
     };

@@ -54,6 +54,7 @@ typedef struct obc {
     executive executive;
     obc_tick_io io;
     uint32_t rejected_frames; /* remote, error or short frames on any bus */
+    uint32_t doubled_id;      /* of a message of ours that another station sent, heard in this tick; 0: none */
     parameters parameters;
     sensor_monitor sensors;
     node_monitor nodes;

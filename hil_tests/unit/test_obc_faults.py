@@ -76,6 +76,16 @@ def late_write(harness: ObcHarness) -> None:
     harness.extra.append(harness.message("parameter_write", write_key=1))
 
 
+def also_sent(name: str) -> Provoke:
+    """Somebody else sends a message of the onboard computer."""
+
+    def apply(harness: ObcHarness) -> None:
+        harness.signals[name] = {}
+        harness.periods[name] = database.message(name).cycle_us
+
+    return apply
+
+
 DIAGNOSTIC = {
     "sd_failure": "sd_system_failure",
     "est1_front_brake": "est1_oos_front_brk",
@@ -150,6 +160,8 @@ CASES: list[tuple[str, str, Provoke]] = [
     ("raptor_emergency", "restarted", signal("misc_report", sys_state=1)),
     ("raptor_emergency", "engine off", signal("misc_report", sys_state=10)),
     ("race_control_lost", "silent", silent("base_to_car_summary")),
+    ("second_computer", "commands", also_sent("brake_pressure_cmd")),
+    ("second_computer", "reports", also_sent("ssm_status")),
     ("computer_stopping", "told", lambda harness: lib.obc_stop(harness.obc)),
     ("race_control_lost", "frozen", signal("base_to_car_summary", base_to_car_heartbeat=3)),
 ]

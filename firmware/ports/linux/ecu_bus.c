@@ -59,6 +59,7 @@ uint32_t ecu_bus_receive(ecu_bus *self, can_frame *frames, uint64_t now_us)
 {
     uint32_t count = 0U;
     uint32_t read = ECU_BUS_FRAMES_MAX;
+    const uint64_t second_before = self->second_sender;
     self->newest_us = 0U;
     /* A batch that left no room for another packet may have left frames behind. */
     for (uint32_t i = 0U; i < BATCHES_MAX && read > ECU_BUS_FRAMES_MAX - CAN_LINK_RECEIVE_MIN; i++) {
@@ -66,13 +67,18 @@ uint32_t ecu_bus_receive(ecu_bus *self, can_frame *frames, uint64_t now_us)
         read = can_link_receive(&self->link, batch, ECU_BUS_FRAMES_MAX);
         for (uint32_t k = 0U; k < read; k++) {
             const uint8_t verdict = ecu_bus_judge(self->station, &batch[k], now_us, self->fresh_us);
+            bool wanted = verdict == ECU_BUS_TAKE;
             self->newest_us = batch[k].time_us;
             if (verdict == ECU_BUS_SECOND_SENDER) {
+                wanted = self->second_sender == second_before;
                 self->second_sender++;
                 self->second_id = batch[k].id;
                 self->second_flags = batch[k].flags;
-            } else if (verdict == ECU_BUS_LATE) {
+            }
+            if (verdict == ECU_BUS_LATE) {
                 self->late++;
+            } else if (!wanted) {
+                continue; /* one of them says all */
             } else if (count < ECU_BUS_FRAMES_MAX) {
                 frames[count++] = batch[k];
             } else {

@@ -50,7 +50,7 @@ int32_t ecu_bus_open(ecu_bus *self, const char *address, uint8_t station, uint8_
                      uint32_t fresh_us);
 
 /* Empty the receive queue, as far as a bounded time allows. frames: room for ECU_BUS_FRAMES_MAX; gets what the firmware
- * is to see. now_us: since the epoch. Returns the number of frames. */
+ * is to see, of a second sender's frames one. now_us: since the epoch. Returns the number of frames. */
 uint32_t ecu_bus_receive(ecu_bus *self, can_frame *frames, uint64_t now_us);
 
 /* Write a line for each change since the last call: down, up again, first losses of a kind, second sender.
