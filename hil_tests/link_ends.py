@@ -99,6 +99,12 @@ class Peer:
     def packet(self) -> list[Frame]:
         return list(iterate(self.socket.recv(8192)))
 
+    @property
+    def process(self) -> int:
+        """Id of the station's process."""
+        credentials = self.socket.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, struct.calcsize("3i"))
+        return int(struct.unpack("3i", credentials)[0])
+
     def close(self) -> None:
         self.socket.close()
 

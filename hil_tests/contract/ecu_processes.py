@@ -1,0 +1,130 @@
+"""An ECU's executable, and the hub's end of each of its buses in the hands of the test."""
+
+from __future__ import annotations
+
+import re
+import signal
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+from time import monotonic, monotonic_ns
+
+from link_ends import LIMIT_S, HubSocket, Peer
+
+from bridge.realtime.programs import program
+from dbc.codec import database
+from dbc.frames import Bus, Frame, iterate
+
+BUSES = {
+    "obc": (Bus.CAN1, Bus.CAN_A, Bus.CAN_S),
+    "raptor": (Bus.CAN1, Bus.CAN3),
+    "space-drive": (Bus.CAN3,),
+}
+OPTION = {Bus.CAN1: "CAN1", Bus.CAN3: "CAN3", Bus.CAN_A: "CANA", Bus.CAN_S: "CANS"}
+
+
+def mistake_of(name: str, *arguments: str) -> str:
+    """The one line with which an ECU refuses its command line, without the program's name."""
+    done = subprocess.run(
+        [program(f"raceloop-{name}"), *arguments], capture_output=True, text=True, timeout=LIMIT_S, check=False
+    )
+    assert done.stdout == ""
+    assert done.returncode == 2, done.stderr
+    (line,) = done.stderr.splitlines()
+    prefix = f"raceloop-{name}: "
+    assert line.startswith(prefix)
+    return line.removeprefix(prefix)
+
+
+class EcuProcess:
+    """A running ECU; a context manager that ends it.
+
+    `log` is what it wrote to standard error up to now, line by line.
+    """
+
+    def __init__(self, name: str, folder: Path, *arguments: str, hub: HubSocket | None = None) -> None:
+        self.name = name
+        self.hub = hub or HubSocket(folder / "hub")
+        self._stderr = folder / f"{name}.err"
+        self._arguments = arguments
+        self.peers: dict[Bus, Peer] = {}
+
+    def __enter__(self) -> EcuProcess:
+        buses = [f"--bus={OPTION[bus]}={self.hub.address}" for bus in BUSES[self.name]]
+        with self._stderr.open("w") as stderr:
+            self.process = subprocess.Popen(
+                [program(f"raceloop-{self.name}"), *buses, *self._arguments], stdin=subprocess.DEVNULL, stderr=stderr
+            )
+        try:
+            self.accept()
+            self.wait_for_line("runs: ")
+        except BaseException:
+            self.__exit__()
+            raise
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.process.kill()
+        self.process.wait()
+        for peer in self.peers.values():
+            peer.close()
+        self.hub.close()
+
+    def accept(self) -> None:
+        """Welcome the ECU on all its buses."""
+        for _ in BUSES[self.name]:
+            peer = self.hub.accept()
+            peer.welcome()
+            self.peers[Bus(peer.bus)] = peer
+
+    @property
+    def log(self) -> list[str]:
+        prefix = f"raceloop-{self.name}: "
+        lines = self._stderr.read_text().splitlines()
+        assert all(line.startswith(prefix) for line in lines), lines
+        return [line.removeprefix(prefix) for line in lines]
+
+    def lines(self, text: str) -> list[str]:
+        """Lines of the log that hold the text."""
+        return [line for line in self.log if text in line]
+
+    def wait_for_line(self, text: str, meanwhile: Callable[[], object] = lambda: None) -> str:
+        end = monotonic() + LIMIT_S
+        while not self.lines(text):
+            assert monotonic() < end, f"no line with {text!r}: {self.log}"
+            assert self.process.poll() is None, self.log
+            meanwhile()
+        return self.lines(text)[0]
+
+    def hear(self, bus: Bus, message: str) -> dict[str, float]:
+        """Values of the next frame of a message that the ECU sends."""
+        codec = database.message(message)
+        end = monotonic() + LIMIT_S
+        while monotonic() < end:
+            for frame in self.peers[bus].packet():
+                if (frame.bus, frame.id) == (codec.bus, codec.frame_id):
+                    return dict(zip(codec.signals, codec.decode(frame.data), strict=True))
+        raise AssertionError(f"no {message}")
+
+    def say(self, bus: Bus, *frames: bytes) -> None:
+        """Put frames on a bus, now."""
+        now_us = monotonic_ns() // 1000
+        self.peers[bus].send(*(next(iterate(frame))._replace(time_us=now_us) for frame in frames))
+
+    def rest(self, bus: Bus) -> list[Frame]:
+        """What the ECU sent and nobody has heard yet, up to its end."""
+        frames: list[Frame] = []
+        while packet := self.peers[bus].packet():
+            frames += packet
+        return frames
+
+    def stop(self, number: int = signal.SIGTERM) -> int:
+        """Ask it to stop; returns its exit status."""
+        self.process.send_signal(number)
+        return self.process.wait(LIMIT_S)
+
+    def counts(self, subject: str) -> dict[str, int]:
+        """Statistics that it wrote at its end: of "cycles", or of a bus by its option's name."""
+        (line,) = [line for line in self.log if re.match(rf"{subject}:? (received )?\d+|{subject}: received", line)]
+        text = line.removeprefix(f"{subject}: ")
+        return {name: int(count) for name, count in re.findall(r"([a-z][a-z -]*?) (\d+)", text)}
