@@ -252,8 +252,7 @@ def serve(stream: BinaryIO, writer: LogWriter) -> str | None:
 
 def main(arguments: Sequence[str]) -> int:
     """Entry of the writer process: the recording's description as JSON, records on standard input."""
-    for number in (signal.SIGINT, signal.SIGHUP):
-        signal.signal(number, signal.SIG_IGN)  # the bench decides what becomes of the recording
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)  # when the terminal goes, the end of the stream decides
     options: dict[str, Any] = json.loads(arguments[0])
     folder = Path(options["folder"])
     try:

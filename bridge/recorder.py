@@ -83,6 +83,7 @@ class Recorder:
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             env=os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+            process_group=0,  # a signal for all of us is not for the writer: we decide what becomes of the recording
         )
         # The writer is slower than a burst of the loop; a thread keeps its pipe full and the loop out of it.
         self._records: Queue[bytes | None] = Queue(_QUEUE_RECORDS)
@@ -101,11 +102,17 @@ class Recorder:
         row[1:] = outputs
         self._row_count += 1
         if self._row_count == _ROWS:
-            self._flush_truth()
+            self.flush()
+
+    def flush(self) -> None:
+        """Hand over the truth so far, which otherwise waits for more."""
+        if self._row_count:
+            self._send(TRUTH_RECORD, self._rows[: self._row_count].tobytes())
+            self._row_count = 0
 
     def finish(self) -> Recording:
         """Wait for the writer and return the recording."""
-        self._flush_truth()
+        self.flush()
         self._send(END_RECORD, b"")
         output, complaint = self._wait()
         if self._process.returncode != 0:
@@ -118,11 +125,6 @@ class Recorder:
         """End without a recording: what was written is removed. Safe at any time."""
         if self._process.returncode is None:
             self._wait()
-
-    def _flush_truth(self) -> None:
-        if self._row_count:
-            self._send(TRUTH_RECORD, self._rows[: self._row_count].tobytes())
-            self._row_count = 0
 
     def _send(self, kind: bytes, payload: bytes) -> None:
         if self._broken:

@@ -12,12 +12,11 @@ from rich.console import Console
 from bridge.bus import CHANNELS
 from bridge.laps import LapTimer
 from bridge.operator import Verdict
-from bridge.realtime.plant_station import PlantExit
 from bridge.realtime.supervisor import Ended
 from bridge.realtime.watch import CycleWatch, RunWatch
 from bridge.recorder import Recording
 from bridge.scenario import Scenario, load_scenario
-from bridge.surroundings import STANDSTILL_SPEED
+from bridge.surroundings import STANDSTILL_SPEED, Ending
 from dbc.codec import database
 from firmware.parameters import Offence, decode_results, load_operation
 from firmware.tables import load_parameters
@@ -35,8 +34,6 @@ CYCLES = "cycles"
 
 LOOK_US = 100_000
 """How often the cycles of the stations are looked at."""
-
-_ENDINGS = frozenset({PlantExit.FINISHED, PlantExit.TIME_UP, PlantExit.REJECTED})
 
 
 def run_realtime(scenario_name: str | None, folder: Path, console: Console, options: RealTimeOptions) -> int:
@@ -82,13 +79,14 @@ class _Course:
 
     Attributes
     ----------
-    plant_exit : how the plant ended the run; None when it did not.
+    ending : how the plant ended the run; None when it did not.
     failures : what went wrong, one line each.
     interrupted : Ctrl-C.
+    ended_us : up to here it is the run; what the parts do when they are stopped does not belong to it.
     """
 
     def __init__(self, run: RealTimeRun, scenario: Scenario) -> None:
-        self.plant_exit: PlantExit | None = None
+        self.ending: Ending | None = None
         self.failures: list[str] = []
         self.interrupted = False
         self.offences: list[Offence] = []
@@ -98,30 +96,29 @@ class _Course:
         self._cycles = CycleWatch()
         self._lost: set[str] = set()
         self._next_look_us = 0
+        self.ended_us = 0
 
     @property
     def finished(self) -> bool:
         """The scenario's finish was reached, and nothing failed."""
-        return self.plant_exit is PlantExit.FINISHED and not self.failures
+        return self.ending is Ending.FINISHED and not self.failures
 
     def follow(self, console: Console) -> None:
         """Look at the run until it is over."""
         run = self._run
         with ProgressBar(console, self._scenario.name, self._scenario.time_limit_us) as bar:
-            while self.plant_exit is None:
-                for ended in run.poll():
+            while self.ending is None and not self._watch.over(self.ended_us, self._car_stands()):
+                all_ended = run.poll()
+                self.ending = run.ending
+                for ended in all_ended:
                     self._note(ended)
-                now_us = run.now_us
-                self._look_at_cycles(now_us)
-                if self._watch.over(now_us, self._car_stands()):
-                    break
+                self.ended_us = max(run.now_us, 0)
+                self._look_at_cycles(run.now_us)
                 speed = 0.0 if run.speed_mps is None else run.speed_mps
-                bar.update(max(now_us, 0), f"{run.observer.monitor.state('ct'):<14} {speed * 3.6:5.1f} km/h")
+                bar.update(self.ended_us, f"{run.observer.monitor.state('ct'):<14} {speed * 3.6:5.1f} km/h")
 
     def _note(self, ended: Ended) -> None:
-        if ended.name == "plant" and ended.status in _ENDINGS:
-            self.plant_exit = PlantExit(ended.status)
-        else:
+        if ended.name != "plant" or self.ending is None:
             self._fail(f"{ended} at {self._run.seconds(ended.time_ns):.3f} s")
 
     def _look_at_cycles(self, now_us: int) -> None:
@@ -152,9 +149,9 @@ class _Course:
 
 def _announce(run: RealTimeRun, console: Console) -> None:
     """Say where the run is, for those who want to join it."""
-    addresses = run.addresses()
-    places = ", ".join(f"{CHANNELS[bus]} {address}" for bus, address in addresses.items())
-    console.print(f"Buses: {places}", markup=False)
+    if run.options.interfaces is not None:
+        places = ", ".join(f"{CHANNELS[bus]} {address}" for bus, address in run.addresses().items())
+        console.print(f"Buses: {places}", markup=False)
     for name in sorted(run.options.without):
         console.print(f"Without {name}. It would have been started with", markup=False)
         console.print(f"  {run.command_line(name)}", markup=False)
@@ -162,15 +159,14 @@ def _announce(run: RealTimeRun, console: Console) -> None:
 
 def _say(name: str, line: str) -> None:
     """Forward a line of a part's log."""
-    print(f"{name}: {line.removeprefix(f'raceloop-{name}: ')}", file=sys.stderr, flush=True)
+    print(f"{name}: {line}", file=sys.stderr, flush=True)
 
 
 def _summary(run: RealTimeRun, course: _Course, recording: Recording, folder: Path) -> dict[str, Any]:
     scenario = run.scenario
     recorded = Recorded(recording.signals, recording.truth)
-    truth_us = recorded.truth["time_us"]
-    # When the plant has ended the run, what the others do until they are stopped does not belong to it.
-    ended_us = int(truth_us[-1]) if course.plant_exit is not None else run.now_us
+    # A plant that has ended the run did so in the slot of its last row; the supervisor sees it a little later.
+    ended_us = course.ended_us if course.ending is None else int(recorded.truth["time_us"][-1])
     verdict, course.offences = _verdict(recorded, scenario)
     files = (recording.candump, recording.blf, recording.signals, recording.truth, folder / CYCLES, folder / SUMMARY)
     overflows = {link.bus: link.statistics.overflows for link in run.links}
@@ -186,7 +182,7 @@ def _summary(run: RealTimeRun, course: _Course, recording: Recording, folder: Pa
         **event_summary(run.observer.monitor, ended_us),
         "buses": {
             CHANNELS[bus]: statistics | {"lost": overflows[bus]}
-            for bus, statistics in run.observer.load.statistics(run.now_us * 1e-6).items()
+            for bus, statistics in run.observer.load.statistics(course.ended_us * 1e-6).items()
         },
         "frames_lost": sum(overflows.values()),
         "frame_log_sha256": recording.frame_log_sha256,
@@ -200,6 +196,7 @@ def _summary(run: RealTimeRun, course: _Course, recording: Recording, folder: Pa
             "interrupted": course.interrupted,
             "failures": course.failures,
             "out_of_order": run.observer.late,
+            "plant": run.plant_report,
             "outages": {CHANNELS[link.bus]: link.statistics.outages for link in run.links},
             "stations": stations_summary(folder / CYCLES),
         },

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import os
 import shlex
 import shutil
 import socket
@@ -14,6 +16,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType, TracebackType
+from typing import Any
 
 from bridge.bus import CHANNELS
 from bridge.realtime.cycle_log import cycles_written
@@ -27,9 +30,10 @@ from bridge.realtime.vcan import ensure_interfaces
 from bridge.realtime.wired import WiredIo
 from bridge.recorder import Recorder, Recording
 from bridge.scenario import Scenario
-from bridge.surroundings import TICK_US
+from bridge.surroundings import TICK_US, Ending
 from dbc.errors import RaceloopError
 from dbc.frames import Bus
+from tools.run import make_folder
 
 #: When each station's cycle begins within the period, us: the order of lock step.
 PHASES_US: Mapping[str, int] = MappingProxyType(
@@ -56,8 +60,13 @@ _BUSES: Mapping[str, tuple[Bus, ...]] = MappingProxyType(
 _ROLES: Mapping[str, Role] = MappingProxyType({"plant": Role.PLANT, "autonomy": Role.AUTONOMY})
 _WIRED = ("plant", "raptor", "space-drive")
 
+_MEMORY = Path("/dev/shm")
+
 #: How often frames and truth go into the recording.
 _RECORD_US = 100_000
+
+#: Within this time the last frames of the stations have come through the hub.
+_LAST_FRAMES_S = 0.05
 
 #: Cycles that a log holds beyond the scenario's time limit.
 _SPARE_CYCLES = 6000
@@ -144,6 +153,16 @@ class SharedFiles:
     def cycle_log(self, station: str) -> Path:
         """The cycle log of a station."""
         return self.folder / f"{station}.cycles"
+
+
+def _shared_folder() -> tempfile.TemporaryDirectory[str]:
+    """A folder in memory whose name holds the process; those of processes that were killed are removed."""
+    folder = _MEMORY if _MEMORY.is_dir() else Path(tempfile.gettempdir())
+    for left in folder.glob("raceloop-run-*"):
+        process = left.name.split("-")[2]
+        if process.isdecimal() and not Path(f"/proc/{process}").exists() and left.stat().st_uid == os.getuid():
+            shutil.rmtree(left, ignore_errors=True)
+    return tempfile.TemporaryDirectory(prefix=f"raceloop-run-{os.getpid()}-", dir=folder)
 
 
 def make_parts(scenario: Scenario, options: RealTimeOptions, shared: SharedFiles) -> dict[str, Part]:
@@ -250,6 +269,7 @@ class RealTimeRun:
     supervisor, observer : of the run; the observer is there once the run has started.
     shared : the processes' files; gone when the run is left.
     speed_mps : newest true speed; None without a plant.
+    plant_report : what the plant says about the run when it ends; empty before, or when it did not come to that.
 
     Raises
     ------
@@ -268,17 +288,16 @@ class RealTimeRun:
         options.placement.check()
         if options.interfaces is not None:
             ensure_interfaces(options.interfaces)
+        self._on_line = on_line
         self._exits = ExitStack()
-        memory = Path("/dev/shm")
-        folder = tempfile.TemporaryDirectory(prefix="raceloop-", dir=memory if memory.is_dir() else None)
-        self.shared = SharedFiles(Path(self._exits.enter_context(folder)))
+        self.shared = SharedFiles(Path(self._exits.enter_context(_shared_folder())))
         try:
             self.scenario = scenario
             self.options = options
             self.parts = make_parts(scenario, options, self.shared)
             self._wires = self._exits.enter_context(WiredIo(self.shared.wires, create=True))
             present = [part for name, part in self.parts.items() if name not in options.without]
-            self.supervisor = self._exits.enter_context(Supervisor(present, on_line))
+            self.supervisor = self._exits.enter_context(Supervisor(present, self._forward))
         except BaseException:
             self._exits.close()
             raise
@@ -287,6 +306,7 @@ class RealTimeRun:
         self._truth: TruthFile | None = None
         self._next_record_us = 0
         self.speed_mps: float | None = None
+        self.plant_report: dict[str, Any] = {}
 
     def __enter__(self) -> RealTimeRun:
         return self
@@ -298,6 +318,12 @@ class RealTimeRun:
             self.supervisor.stop()
             if self._recorder is not None:
                 self._recorder.abort()
+
+    @property
+    def ending(self) -> Ending | None:
+        """How the plant says that the run has ended; None while it goes on, or when something else has ended it."""
+        reason = self.plant_report.get("reason")
+        return Ending(reason) if reason in {ending.value for ending in Ending} else None
 
     @property
     def now_us(self) -> int:
@@ -342,20 +368,28 @@ class RealTimeRun:
             self._take_truth()
         return ended
 
-    def stop(self) -> None:
-        """End all processes; frames up to the last are heard."""
-        self.supervisor.stop(meanwhile=lambda: self.observer.poll(self.now_us))
+    def restart(self, name: str) -> None:
+        """Start a part again that has ended; its cycle log so far is kept beside the new one."""
+        log = self.shared.cycle_log(name)
+        if log.exists():
+            earlier = len(list(self.shared.folder.glob(f"{name}.*.cycles"))) + 1
+            log.rename(self.shared.cycle_log(f"{name}.{earlier}"))
+        self.supervisor.restart(name)
 
     def finish(self, folder: Path | None = None) -> Recording | None:
-        """End all processes and complete the recording.
+        """End all processes and complete the recording; frames up to the last are in it.
 
         Parameters
         ----------
         folder : gets the cycle logs.
         """
-        self.stop()
+        self.supervisor.stop_stations(meanwhile=lambda: self.observer.poll(self.now_us))
+        self.supervisor.poll(_LAST_FRAMES_S)
         self._take_truth()
         self.observer.finish()
+        for link in self.links:
+            link.close()
+        self.supervisor.stop()
         if folder is not None:
             folder.mkdir(exist_ok=True)
             for log in sorted(self.shared.folder.glob("*.cycles")):
@@ -369,6 +403,13 @@ class RealTimeRun:
         """The command that starts a part by hand, for this run."""
         return shlex.join(self.parts[name].command_line(self.supervisor.epoch_ns))
 
+    def _forward(self, name: str, line: str) -> None:
+        """Pass on a line of a log; the plant's last one is its report."""
+        if name == "plant" and line.startswith("{"):
+            self.plant_report = json.loads(line)
+        else:
+            self._on_line(name, line)
+
     def _attach(self, folder: Path | None, epoch_ns: int) -> None:
         """Listen to all buses and open the recording, before any station sends."""
         for bus, address in self.addresses().items():
@@ -376,6 +417,7 @@ class RealTimeRun:
         if self.shared.truth.exists():
             self._truth = self._exits.enter_context(TruthFile(self.shared.truth))
         if folder is not None:
+            make_folder(folder)
             names, units = ((), ()) if self._truth is None else (self._truth.names, self._truth.units)
             self._recorder = Recorder(folder, names, units, keep=True)
         self.observer = Observer(self.links, self._recorder.add_frames if self._recorder else None)
@@ -390,3 +432,4 @@ class RealTimeRun:
         if self._recorder is not None:
             for row in rows:
                 self._recorder.add_truth(int(row[0]), row[1:])
+            self._recorder.flush()

@@ -45,8 +45,8 @@ def show_real_time(block: Mapping[str, Any], console: Console) -> None:
     refused = sum(station["refused"] for station in block["stations"].values())
     outages = sum(block["outages"].values())
     console.print(
-        f"Frames refused by a full send queue: {refused}; recorded out of order: {block['out_of_order']};"
-        f" outages of a bus: {outages}"
+        f"Frames refused by full queues: {refused}, recorded out of order: {block['out_of_order']};"
+        f" bus outages: {outages}"
     )
 
 

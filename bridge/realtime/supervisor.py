@@ -142,7 +142,8 @@ class _Running:
         if self.drained or self.process.returncode is not None or len(self._rest) > _LINE_MAX:
             whole.append(self._rest)
             self._rest = b""
-        texts = [text for line in whole if (text := line.decode("utf-8", "replace").rstrip())]
+        head = f"raceloop-{self.part.name}: "
+        texts = [text for line in whole if (text := line.decode("utf-8", "replace").rstrip().removeprefix(head))]
         if texts:
             self.last_line = texts[-1]
         return texts
@@ -166,7 +167,8 @@ class Supervisor:
     Parameters
     ----------
     parts : in the order in which they start; of different names.
-    on_line : takes name and line of what a part logs. What it logs before it is ready comes when it is.
+    on_line : takes name and line of what a part logs, without the `raceloop-NAME: ` at its head. What it logs before
+        the run has started, or before it is ready, comes then.
     lead_s : from the moment when all that prepare are ready to the epoch.
     ready_s : how long parts may take to get ready.
 
@@ -191,6 +193,7 @@ class Supervisor:
         self._ready_s = ready_s
         self._running: dict[str, _Running] = {}
         self._selector = selectors.DefaultSelector()
+        self._started = False
         self.epoch_ns = 0
         self.ended: list[Ended] = []
 
@@ -240,6 +243,9 @@ class Supervisor:
         except BaseException:
             self.stop()
             raise
+        self._started = True
+        for running in self._running.values():
+            self._catch_up(running)
 
     def poll(self, timeout_s: float = 0.0) -> list[Ended]:
         """Forward what the parts log, give the epoch to those that have got ready, find those that have ended.
@@ -291,11 +297,15 @@ class Supervisor:
         grace_s : how long a part may take to end.
         meanwhile : called again and again while waiting.
         """
-        services = [name for name, running in self._running.items() if running.part.start is Start.SERVICE]
         try:
-            self._end([name for name in self._running if name not in services], grace_s, meanwhile)
+            self.stop_stations(grace_s, meanwhile)
         finally:
-            self._end(services, grace_s, meanwhile)
+            self._end(list(self._running), grace_s, meanwhile)
+
+    def stop_stations(self, grace_s: float = 2.0, meanwhile: Callable[[], None] = lambda: None) -> None:
+        """End all but the services, see `stop`."""
+        services = [name for name, running in self._running.items() if running.part.start is Start.SERVICE]
+        self._end([name for name in self._running if name not in services], grace_s, meanwhile)
 
     def _end(self, names: Sequence[str], grace_s: float, meanwhile: Callable[[], None]) -> None:
         try:
@@ -333,9 +343,9 @@ class Supervisor:
 
     def _forward(self, running: _Running) -> None:
         for line in running.lines():
-            if running.ready:
+            if running.ready and self._started:
                 self._on_line(running.part.name, line)
-            elif running.part.is_ready is None and line == READY:
+            elif not running.ready and running.part.is_ready is None and line == READY:
                 self._got_ready(running)
             else:
                 running.early.append(line)
@@ -344,10 +354,15 @@ class Supervisor:
 
     def _got_ready(self, running: _Running) -> None:
         running.ready = True
-        for line in running.early:
-            self._on_line(running.part.name, line)
+        if self._started:
+            self._catch_up(running)
         if self.epoch_ns:
             running.tell(self.epoch_ns)
+
+    def _catch_up(self, running: _Running) -> None:
+        for line in running.early:
+            self._on_line(running.part.name, line)
+        running.early.clear()
 
     def _bury(self, running: _Running) -> Ended:
         """Take the last words of a process that has ended, and forget it."""

@@ -219,7 +219,7 @@ def test_a_plant_that_was_stopped_says_what_it_lost(tmp_path: Path, hub: Hub, wi
         lost_ms = run.report()["lost_ms"]
         assert isinstance(lost_ms, int)
         assert lost_ms >= 280
-        assert ("plant", f"raceloop-plant: lost {lost_ms} ms of simulated time") in run.lines
+        assert ("plant", f"lost {lost_ms} ms of simulated time") in run.lines
 
 
 def test_the_time_limit_ends_the_plant_with_its_status(tmp_path: Path, hub: Hub, wires: WiredIo):

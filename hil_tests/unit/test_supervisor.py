@@ -281,6 +281,27 @@ def test_a_line_without_end_is_forwarded_in_pieces(make: Callable[..., Superviso
     assert set("".join(log.of("a"))) == {"x"}
 
 
+def test_the_name_of_the_program_is_left_out_of_its_lines(make: Callable[..., Supervisor], log: Log):
+    """Its name is told with each line anyway, and an error of a start is the supervisor's own."""
+    code = 'import signal; print("ready", flush=True); print("raceloop-a: words", flush=True); signal.pause()'
+    supervisor = make(python("a", code))
+    supervisor.start()
+    wait_for(supervisor, lambda: log.of("a") == ["words"])
+    with pytest.raises(RaceloopError, match=r"^file: key: wrong$"):
+        make(python("b", 'raise SystemExit("raceloop-b: file: key: wrong")')).start()
+
+
+def test_nothing_is_forwarded_from_a_run_that_does_not_start(make: Callable[..., Supervisor], log: Log):
+    hub = 'import signal; print("where I am", flush=True); print("ready", flush=True); signal.pause()'
+    bad = python("bad", 'import time; time.sleep(0.2); raise SystemExit("wrong")', Start.PREPARES)
+    with pytest.raises(RaceloopError, match=r"^wrong$"):
+        make(python("hub", hub, Start.SERVICE), bad).start()
+    assert log.lines == []
+    good = make(python("hub", hub, Start.SERVICE), python("good", STATION))
+    good.start()
+    assert log.of("hub") == ["where I am"]
+
+
 def test_names_must_differ():
     with pytest.raises(ValueError, match="one name"):
         Supervisor([python("a", STATION), python("a", STATION)])

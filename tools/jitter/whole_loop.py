@@ -57,7 +57,7 @@ def measure_whole_loop(setup: Setup, scenario: Scenario, condition: str) -> Meas
             receiver.poll()
             if run.now_us > scenario.time_limit_us + _PATIENCE_US:
                 raise RaceloopError(f"{scenario.name} has not ended in time")
-        run.stop()
+        run.finish()
         receiver.poll()
         machine = None if beside is None else test.finish(beside)
         logs = {name: read_cycle_log(run.shared.cycle_log(name)) for name in STATIONS}
