@@ -175,6 +175,7 @@ def test_cycles_are_on_the_grid_and_recorded(tmp_path: Path):
             ecu.hear(Bus.CAN1, "brake_pressure_cmd")
         assert ecu.stop() == 0
         counts = ecu.counts("cycles")
+        late = ecu.counts("CAN1")["late"] + ecu.counts("CANS")["late"]  # on a machine that stands still for long
     cycles = read_cycle_log(log)
     records = cycles.records
     assert (cycles.name, cycles.process, cycles.priority, cycles.cpu) == ("obc", ecu.process.pid, None, None)
@@ -203,7 +204,7 @@ def test_cycles_are_on_the_grid_and_recorded(tmp_path: Path):
     assert (records["cpu_ns"] > 0).all()
 
     # Frames: three came in, some go out in every cycle.
-    assert int(records["frames_in"].sum()) == 3
+    assert int(records["frames_in"].sum()) == 3 - late
     assert (records["frames_out"] >= 6).all()
     assert (records["refused"] == 0).all()
     for bus, arrived in ((Bus.CAN_S, True), (Bus.CAN1, True), (Bus.CAN_A, False), (Bus.CAN3, False)):
@@ -264,7 +265,8 @@ def test_a_space_drive_that_is_stopped_lets_go_of_nothing(tmp_path: Path, wires:
     )
     wires.write(Cell.SPACE_DRIVE_IN, sensors)
     drive = ffi.new("space_drive_wired_out *", {"brake_pressure_demand": -1.0})
-    with EcuProcess("space-drive", tmp_path, f"--wired={tmp_path}/wires") as ecu:
+    # Slow, so that no stall of this machine is a time-out to the firmware.
+    with EcuProcess("space-drive", tmp_path, f"--wired={tmp_path}/wires", "--period=100000") as ecu:
         assert ecu.hear(Bus.CAN3, "stat_brk_1")["emr_brk"] == 0
         released = False
         counter = 0
@@ -379,13 +381,14 @@ def test_frames_that_waited_too_long_are_not_shown_to_the_firmware(tmp_path: Pat
         ecu.process.send_signal(signal.SIGCONT)
         ecu.wait_for_line("CAN1: frames waited for more than 100 ms and are dropped")
         assert ecu.stop() == 0
-        assert ecu.counts("CAN1")["late"] == 7
+        late = ecu.counts("CAN1")["late"]
+        assert late in (7, 8)
         assert ecu.counts("cycles")["skipped"] >= 10
-    assert int(read_cycle_log(tmp_path / "log").records["frames_in"].sum()) == 1
+    assert int(read_cycle_log(tmp_path / "log").records["frames_in"].sum()) == 8 - late
 
 
 def test_a_flood_is_bounded_and_counted(tmp_path: Path):
-    with EcuProcess("obc", tmp_path, f"--cycle-log={tmp_path}/log") as ecu:
+    with EcuProcess("obc", tmp_path, f"--cycle-log={tmp_path}/log", "--period=100000") as ecu:
         ecu.hear(Bus.CAN1, "brake_pressure_cmd")
         ecu.process.send_signal(signal.SIGSTOP)
         os.waitid(os.P_PID, ecu.process.pid, os.WSTOPPED | os.WNOWAIT)
