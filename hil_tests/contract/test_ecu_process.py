@@ -345,7 +345,7 @@ def test_a_hub_that_vanishes_and_returns(tmp_path: Path):
         for bus in ("CAN1", "CAN3"):
             ecu.wait_for_line(f"{bus}: {ecu.hub.address} went down: ")
         ecu.hub = HubSocket(tmp_path / "hub")
-        ecu.accept()
+        ecu.join()
         for bus in ("CAN1", "CAN3"):
             ecu.wait_for_line(f"{bus}: {ecu.hub.address} is up again after ")
         ecu.hear(Bus.CAN1, "misc_report")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import errno
 import os
 import socket
-import struct
 import subprocess
 import time
 from collections.abc import Iterator
@@ -13,67 +12,12 @@ from time import monotonic_ns
 
 import pytest
 from link_ends import LIMIT_S, Link, frame
+from own_interface import Interface, Node, run
 
 from bridge._native import ffi, lib
 from dbc.frames import Bus, Flag, Frame
 
 pytestmark = pytest.mark.vcan
-
-CAN_FRAME = struct.Struct("<IB3x8s")
-
-
-def raw_socket() -> socket.socket:
-    return socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
-
-
-def run(*command: str) -> None:
-    subprocess.run(command, check=True, capture_output=True, text=True)
-
-
-class Interface:
-    """A vcan interface of ours."""
-
-    def __init__(self) -> None:
-        self.name = f"rl{os.getpid()}"
-        self.address = f"socketcan:{self.name}"
-
-    def create(self) -> None:
-        run("ip", "link", "add", "dev", self.name, "type", "vcan")
-
-    def up(self) -> None:
-        run("ip", "link", "set", self.name, "up")
-
-    def down(self) -> None:
-        run("ip", "link", "set", self.name, "down")
-
-    def delete(self) -> None:
-        run("ip", "link", "delete", self.name)
-
-
-class Node:
-    """Somebody else on the bus, through Python's own socket."""
-
-    def __init__(self, interface: Interface) -> None:
-        self.socket = raw_socket()
-        self.socket.settimeout(LIMIT_S)
-        self.socket.bind((interface.name,))
-
-    def send(self, can_id: int, data: bytes = b"", length: int | None = None) -> None:
-        self.socket.send(CAN_FRAME.pack(can_id, len(data) if length is None else length, data))
-
-    def receive(self) -> tuple[int, bytes]:
-        can_id, length, data = CAN_FRAME.unpack(self.socket.recv(CAN_FRAME.size))
-        return can_id, data[:length]
-
-    def silent(self) -> bool:
-        self.socket.setblocking(False)
-        try:
-            self.socket.recv(CAN_FRAME.size)
-        except BlockingIOError:
-            return True
-        finally:
-            self.socket.settimeout(LIMIT_S)
-        return False
 
 
 @pytest.fixture
@@ -144,7 +88,7 @@ def test_sent_frames_are_on_the_bus_as_they_are(interface: Interface, link: Link
     assert node.receive() == (0x100 | socket.CAN_RTR_FLAG, b"")
     for i in range(100):
         assert node.receive() == (i, bytes([i]))
-    assert node.silent()
+    assert node.rest() == []
     assert link.statistics == {"sent": 104}
 
 

@@ -1,13 +1,13 @@
-"""An ECU's executable, and the hub's end of each of its buses in the hands of the test."""
+"""An ECU's executable under test: on real buses, or with the hub's end of each bus in the hands of the test."""
 
 from __future__ import annotations
 
 import re
 import signal
 import subprocess
-from collections.abc import Callable
+from collections.abc import Mapping
 from pathlib import Path
-from time import monotonic, monotonic_ns
+from time import monotonic, monotonic_ns, sleep
 
 from link_ends import LIMIT_S, HubSocket, Peer
 
@@ -36,27 +36,26 @@ def mistake_of(name: str, *arguments: str) -> str:
     return line.removeprefix(prefix)
 
 
-class EcuProcess:
+class Ecu:
     """A running ECU; a context manager that ends it.
 
-    `log` is what it wrote to standard error up to now, line by line.
+    Parameters
+    ----------
+    addresses : of the buses that it is attached to.
+    arguments : the rest of its command line.
     """
 
-    def __init__(self, name: str, folder: Path, *arguments: str, hub: HubSocket | None = None) -> None:
+    def __init__(self, name: str, folder: Path, addresses: Mapping[Bus, str], *arguments: str) -> None:
         self.name = name
-        self.hub = hub or HubSocket(folder / "hub")
         self._stderr = folder / f"{name}.err"
-        self._arguments = arguments
-        self.peers: dict[Bus, Peer] = {}
+        buses = [f"--bus={OPTION[bus]}={address}" for bus, address in addresses.items()]
+        self._command = [program(f"raceloop-{name}"), *buses, *arguments]
 
-    def __enter__(self) -> EcuProcess:
-        buses = [f"--bus={OPTION[bus]}={self.hub.address}" for bus in BUSES[self.name]]
+    def __enter__(self) -> Ecu:
         with self._stderr.open("w") as stderr:
-            self.process = subprocess.Popen(
-                [program(f"raceloop-{self.name}"), *buses, *self._arguments], stdin=subprocess.DEVNULL, stderr=stderr
-            )
+            self.process = subprocess.Popen(self._command, stdin=subprocess.DEVNULL, stderr=stderr)
         try:
-            self.accept()
+            self.join()
             self.wait_for_line("runs: ")
         except BaseException:
             self.__exit__()
@@ -66,19 +65,13 @@ class EcuProcess:
     def __exit__(self, *_: object) -> None:
         self.process.kill()
         self.process.wait()
-        for peer in self.peers.values():
-            peer.close()
-        self.hub.close()
 
-    def accept(self) -> None:
-        """Welcome the ECU on all its buses."""
-        for _ in BUSES[self.name]:
-            peer = self.hub.accept()
-            peer.welcome()
-            self.peers[Bus(peer.bus)] = peer
+    def join(self) -> None:
+        """Let it onto its buses."""
 
     @property
     def log(self) -> list[str]:
+        """What it has written to standard error, line by line."""
         prefix = f"raceloop-{self.name}: "
         lines = self._stderr.read_text().splitlines()
         assert all(line.startswith(prefix) for line in lines), lines
@@ -88,13 +81,49 @@ class EcuProcess:
         """Lines of the log that hold the text."""
         return [line for line in self.log if text in line]
 
-    def wait_for_line(self, text: str, meanwhile: Callable[[], object] = lambda: None) -> str:
+    def wait_for_line(self, text: str) -> str:
         end = monotonic() + LIMIT_S
         while not self.lines(text):
             assert monotonic() < end, f"no line with {text!r}: {self.log}"
             assert self.process.poll() is None, self.log
-            meanwhile()
+            sleep(0.001)
         return self.lines(text)[0]
+
+    def stop(self, number: int = signal.SIGTERM) -> int:
+        """Ask it to stop; returns its exit status."""
+        self.process.send_signal(number)
+        return self.process.wait(LIMIT_S)
+
+    def counts(self, subject: str) -> dict[str, int]:
+        """Statistics that it wrote at its end: of "cycles", or of a bus by its option's name."""
+        (line,) = [line for line in self.log if re.match(rf"{subject} \d+|{subject}: received", line)]
+        text = line.removeprefix(f"{subject}: ")
+        return {name: int(count) for name, count in re.findall(r"([a-z][a-z -]*?) (\d+)", text)}
+
+
+class EcuProcess(Ecu):
+    """An ECU whose buses end in the hands of the test."""
+
+    def __init__(self, name: str, folder: Path, *arguments: str) -> None:
+        self.hub = HubSocket(folder / "hub")
+        super().__init__(name, folder, dict.fromkeys(BUSES[name], self.hub.address), *arguments)
+        self.peers: dict[Bus, Peer] = {}
+
+    def __exit__(self, *_: object) -> None:
+        super().__exit__()
+        for peer in self.peers.values():
+            peer.close()
+        self.hub.close()
+
+    def __enter__(self) -> EcuProcess:
+        super().__enter__()
+        return self
+
+    def join(self) -> None:
+        for _ in BUSES[self.name]:
+            peer = self.hub.accept()
+            peer.welcome()
+            self.peers[Bus(peer.bus)] = peer
 
     def hear(self, bus: Bus, message: str) -> dict[str, float]:
         """Values of the next frame of a message that the ECU sends."""
@@ -112,19 +141,8 @@ class EcuProcess:
         self.peers[bus].send(*(next(iterate(frame))._replace(time_us=now_us) for frame in frames))
 
     def rest(self, bus: Bus) -> list[Frame]:
-        """What the ECU sent and nobody has heard yet, up to its end."""
+        """What an ECU that has ended sent and nobody has heard yet."""
         frames: list[Frame] = []
         while packet := self.peers[bus].packet():
             frames += packet
         return frames
-
-    def stop(self, number: int = signal.SIGTERM) -> int:
-        """Ask it to stop; returns its exit status."""
-        self.process.send_signal(number)
-        return self.process.wait(LIMIT_S)
-
-    def counts(self, subject: str) -> dict[str, int]:
-        """Statistics that it wrote at its end: of "cycles", or of a bus by its option's name."""
-        (line,) = [line for line in self.log if re.match(rf"{subject}:? (received )?\d+|{subject}: received", line)]
-        text = line.removeprefix(f"{subject}: ")
-        return {name: int(count) for name, count in re.findall(r"([a-z][a-z -]*?) (\d+)", text)}
