@@ -118,22 +118,54 @@ def test_a_file_that_holds_no_wires(tmp_path: Path):
     hub.close()
 
 
-def test_no_permission_for_a_priority():
-    """As a user who may not have it."""
-    with tempfile.TemporaryDirectory() as folder:  # pytest's own are closed to other users
-        Path(folder).chmod(0o755)
-        executable = shutil.copy(program("raceloop-obc"), folder)
-        command = [executable, "--bus=CAN1=hub:/x", "--priority=80"]
-        user = "nobody" if os.getuid() == 0 else None
-        done = subprocess.run(
-            ["/bin/sh", "-c", 'ulimit -r 0 && exec "$0" "$@"', *command],
-            capture_output=True, text=True, timeout=LIMIT_S, check=False, user=user,
-        )  # fmt: skip
-    assert done.returncode == 2
-    assert done.stderr == (
+@pytest.fixture
+def open_folder() -> Iterator[Path]:
+    """A folder for everybody; pytest's own are closed to other users."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        folder.chmod(0o777)
+        yield folder
+
+
+def unprivileged(folder: Path, limit: str, name: str, *arguments: str) -> subprocess.Popen[str]:
+    """Start an ECU as a user who may not have what `ulimit` takes away."""
+    executable = shutil.copy(program(f"raceloop-{name}"), folder)
+    return subprocess.Popen(
+        ["/bin/sh", "-c", f'ulimit {limit} 0 && exec "$0" "$@"', executable, *arguments],
+        stderr=subprocess.PIPE,
+        text=True,
+        user="nobody" if os.getuid() == 0 else None,
+        env={"GCOV_PREFIX": str(folder)},  # where instrumented executables may write
+    )
+
+
+def test_no_permission_for_a_priority(open_folder: Path):
+    with unprivileged(open_folder, "-r", "obc", "--bus=CAN1=hub:/x", "--priority=80") as process:
+        _, log = process.communicate(timeout=LIMIT_S)
+    assert process.returncode == 2
+    assert log == (
         "raceloop-obc: no permission for SCHED_FIFO priority 80: run as root, or allow it with 'ulimit -r 80' "
         "(rtprio in /etc/security/limits.conf)\n"
     )
+
+
+def test_no_permission_to_lock_memory_is_a_note(open_folder: Path):
+    hub = HubSocket(open_folder / "hub")
+    hub.path.chmod(0o777)
+    with unprivileged(open_folder, "-l", "space-drive", f"--bus=CAN3={hub.address}") as process:
+        peer = hub.accept()
+        peer.welcome()
+        peer.packet()
+        process.terminate()
+        _, log = process.communicate(timeout=LIMIT_S)
+    assert process.returncode == 0
+    note, *others = log.splitlines()
+    assert note.startswith(
+        "raceloop-space-drive: memory is not locked, page faults may delay a cycle: run as root, or "
+    )
+    assert "memory" not in "".join(others)
+    peer.close()
+    hub.close()
 
 
 # --- running ---
