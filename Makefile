@@ -57,6 +57,10 @@ test-vcan: build ## Run the SocketCAN tests: on this kernel if it has vcan, else
 bench: build ## Measure this loop side by side with the plain loop a user would write
 	$(BIN)/raceloop bench
 
+.PHONY: jitter
+jitter: build ## Measure the onboard computer's cycle, idle and under load, beside cyclictest; results to OUT/jitter
+	$(BIN)/raceloop jitter --seconds 60 --load all --out '$(OUT)/jitter'
+
 .PHONY: check
 check: lint types warnings coverage ## Format, lint, types, warnings as errors with each compiler present, all tests with the coverage gate
 

@@ -18,7 +18,7 @@ from tools.jitter.figures import Distribution, cycle_times, overruns, skipped_cy
 def station_summary(log: CycleLog) -> dict[str, Any]:
     """Cycles of one station: counts, and where their time went in microseconds."""
     records = log.records
-    times = cycle_times(records)
+    times = cycle_times(records, log.period_ns)
     return {
         "priority": log.priority,
         "cpu": log.cpu,

@@ -17,8 +17,9 @@ from bridge.collector import collector_paused
 from bridge.realtime.cycle_log import CycleLogWriter
 from bridge.realtime.link import CanLink, LinkState
 from bridge.realtime.timer import DeadlineTimer
-from bridge.surroundings import TICK_US
 from dbc.frames import FRAME_SIZE
+
+_TICK_US: int = lib.EXECUTIVE_FRAME_US
 
 
 class Station(Protocol):
@@ -114,7 +115,7 @@ def run_station(
             pieces = [link.receive() for link in links]
             received = in_order_of_arrival(pieces)
             received_ns = lib.monotonic_ns()
-            frames = station.step(timer.slot * TICK_US, received)
+            frames = station.step(timer.slot * _TICK_US, received)
             ticked_ns = lib.monotonic_ns()
             taken = _send(links, frames)
             sent_ns = lib.monotonic_ns()

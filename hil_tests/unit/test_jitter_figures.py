@@ -73,7 +73,7 @@ def test_zero_has_no_relative_deviation():
 
 
 def test_a_cycle_taken_apart():
-    times = cycle_times(records(3))
+    times = cycle_times(records(3), PERIOD_NS)
     assert times.lateness.tolist() == [60.0] * 3
     assert times.execution.tolist() == [200.0] * 3
     assert times.processor.tolist() == [150.0] * 3
@@ -83,16 +83,27 @@ def test_a_cycle_taken_apart():
     assert times.period.tolist() == [10_000.0] * 2
 
 
+def test_a_stall_counts_from_the_first_slot_that_it_cost():
+    """As cyclictest counts it: one sample with all of it."""
+    cycles = records(10)
+    for name in ("wake_ns", "received_ns", "ticked_ns", "sent_ns"):
+        cycles[name][4] += 3_000_000
+    cycles["skipped"][4] = 2
+    times = cycle_times(cycles, PERIOD_NS)
+    assert times.lateness.tolist() == [60.0] * 4 + [23_060.0] + [60.0] * 5
+    assert times.response[4] == 23_260.0
+
+
 def test_queueing_is_never_more_than_the_lateness_nor_less_than_nothing():
     cycles = records(2)
     cycles["run_queue_ns"] = [5_000_000, 0]
-    assert cycle_times(cycles).queued.tolist() == [60.0, 0.0]
+    assert cycle_times(cycles, PERIOD_NS).queued.tolist() == [60.0, 0.0]
 
 
 def test_processor_time_is_never_more_than_the_cycle():
     cycles = records(1)
     cycles["cpu_ns"] = 201_000  # read with another clock
-    times = cycle_times(cycles)
+    times = cycle_times(cycles, PERIOD_NS)
     assert times.processor.tolist() == [200.0]
     assert times.preempted.tolist() == [0.0]
 
@@ -112,8 +123,8 @@ def test_worst_cycles_end_last():
     cycles["sent_ns"][7] += 900_000
     cycles["wake_ns"][30] += 700_000
     cycles["sent_ns"][30] += 700_000
-    assert worst_cycles(cycle_times(cycles), 3) == [7, 30, 0]
-    assert len(worst_cycles(cycle_times(cycles), 99)) == 50
+    assert worst_cycles(cycle_times(cycles, PERIOD_NS), 3) == [7, 30, 0]
+    assert len(worst_cycles(cycle_times(cycles, PERIOD_NS), 99)) == 50
 
 
 def test_spacing_of_frames():

@@ -11,7 +11,8 @@ import pytest
 from bridge._native import ffi
 from bridge.realtime.wired import Cell, WiredIo
 from tools.jitter.player import Player
-from tools.jitter.stimulus import ECUS, Stimulus, record_stimulus
+from tools.jitter.recording import record_stimulus
+from tools.jitter.stimulus import ECUS, Stimulus
 
 CYCLES = 60
 TICK_US = 10_000

@@ -12,7 +12,8 @@ from bridge._native import ffi, lib
 from bridge.scenario import load_scenario
 from dbc.codec import database
 from dbc.frames import FRAME_DTYPE, FRAME_SIZE, Bus, Station
-from tools.jitter.stimulus import ECUS, Ecu, Stimulus, record_stimulus
+from tools.jitter.recording import record_stimulus
+from tools.jitter.stimulus import ECUS, Ecu, Stimulus
 from tools.run import DEFAULT_SCENARIO, build_bench
 
 CYCLES = 1500

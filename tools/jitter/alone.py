@@ -38,7 +38,7 @@ _LEAD_S = 1.8
 _POLL_S = 0.01
 
 #: How much longer than it should a peer may take, s.
-_PATIENCE_S = 15.0
+_PATIENCE_S = 60.0
 
 _PLAYER = "player"
 

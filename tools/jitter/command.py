@@ -23,9 +23,9 @@ from tools.jitter.load import PACKAGE, start_load
 from tools.jitter.machine import BUSY_SHARE, Machine, busy_share, look_at_machine
 from tools.jitter.measurement import Measurement
 from tools.jitter.peers import PEERS
+from tools.jitter.recording import record_stimulus
 from tools.jitter.report import as_json, picture, show, write_json, write_text
 from tools.jitter.setup import Setup
-from tools.jitter.stimulus import record_stimulus
 from tools.jitter.trace import trace_of
 from tools.jitter.whole_loop import measure_whole_loop
 from tools.run import make_folder

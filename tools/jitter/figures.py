@@ -102,12 +102,12 @@ class CycleTimes:
 
     Attributes
     ----------
-    lateness : wait returned after the deadline.
+    lateness : wait returned after the deadline; when slots were skipped, after that of the first of them.
     queued : part of `lateness` in which the thread was ready but another had its processor; the rest is the timer's.
     execution : from the return of the wait to the outputs being with the kernel.
     processor : part of `execution` in which the thread ran.
     preempted : part of `execution` in which it did not.
-    response : from the deadline to the end.
+    response : from that deadline to the end.
     period : from one return of the wait to the next.
     """
 
@@ -120,9 +120,17 @@ class CycleTimes:
     period: Times
 
 
-def cycle_times(records: NDArray[np.void]) -> CycleTimes:
-    """Take cycle records apart; fields as in `cycle_record` of firmware/ports/linux/cycle_log.h."""
-    lateness = _since(records["wake_ns"], records["deadline_ns"])
+def cycle_times(records: NDArray[np.void], period_ns: int) -> CycleTimes:
+    """Take cycle records apart.
+
+    Parameters
+    ----------
+    records : fields as in `cycle_record` of firmware/ports/linux/cycle_log.h.
+    period_ns : of the cycle.
+    """
+    # A stall that costs whole slots must not look like the rest of a slot: it counts from the first one that was due.
+    due = records["deadline_ns"] - records["skipped"].astype(np.uint64) * np.uint64(period_ns)
+    lateness = _since(records["wake_ns"], due)
     execution = _since(records["sent_ns"], records["wake_ns"])
     processor = np.minimum(records["cpu_ns"] / 1000.0, execution)
     preempted = execution - processor
@@ -134,7 +142,7 @@ def cycle_times(records: NDArray[np.void]) -> CycleTimes:
         execution=execution,
         processor=processor,
         preempted=preempted,
-        response=_since(records["sent_ns"], records["deadline_ns"]),
+        response=_since(records["sent_ns"], due),
         period=_since(records["wake_ns"][1:], records["wake_ns"][:-1]),
     )
 

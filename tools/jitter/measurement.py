@@ -102,7 +102,7 @@ class Cycles:
     @cached_property
     def times(self) -> CycleTimes:
         """Where the time of every cycle went."""
-        return cycle_times(self.log.records)
+        return cycle_times(self.log.records, self.log.period_ns)
 
     @cached_property
     def lateness(self) -> Distribution:

@@ -10,7 +10,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-from bridge._native import ffi
+from bridge._native import ffi, lib
 from bridge.realtime.cycle_log import CycleLogWriter
 from bridge.realtime.link import CanLink
 from bridge.realtime.process import end_with_parent, keep_memory, schedule
@@ -18,10 +18,11 @@ from bridge.realtime.station import StopRequest, run_station
 from bridge.realtime.supervisor import READY
 from bridge.realtime.timer import DeadlineTimer
 from bridge.realtime.wired import Cell, WiredIo
-from bridge.surroundings import TICK_US
 from dbc.errors import RaceloopError
 from dbc.frames import Bus
 from tools.jitter.stimulus import ECUS, Ecu, Stimulus
+
+_TICK_US: int = lib.EXECUTIVE_FRAME_US
 
 
 class Player:
@@ -50,7 +51,7 @@ class Player:
 
     def step(self, now_us: int, received: bytes) -> bytes:  # noqa: ARG002 (it hears nothing)
         """Frames that are due, and the wires as they are now."""
-        first, self._next = self._next, min(now_us // TICK_US + 1, self._stimulus.cycles)
+        first, self._next = self._next, min(now_us // _TICK_US + 1, self._stimulus.cycles)
         if self._wired is not None and self._next > first:
             ffi.memmove(self._wired, self._stimulus.wired[self._next - 1].tobytes(), ffi.sizeof(self._wired[0]))
             self._wires.write(self._cell, self._wired)

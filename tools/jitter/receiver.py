@@ -26,7 +26,8 @@ class Receiver:
     def poll(self) -> None:
         """Take what has come in; to be called often enough that no queue fills up."""
         for link in self._links:
-            while (frames := link.receive()).size:
+            frames = link.receive()
+            if frames.size:
                 self._pieces.append(frames)
 
     @property

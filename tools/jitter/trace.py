@@ -35,9 +35,8 @@ def _add_station(trace: Trace, name: str, cycles: Cycles, worst: dict[int, str])
     thread = trace.thread(log.process, f"{log.name} cycle")
     lateness = trace.counter("wake-up lateness", "us", process)
     marks = trace.track("worst, skipped and overrun cycles", process)
-    for record in log.records:
+    for record, late_us in zip(log.records, cycles.times.lateness.tolist(), strict=True):
         slot, deadline, wake, received, ticked, sent = (int(value) for value in record.item()[:6])
-        late_us = (wake - deadline) / 1000.0
         trace.value(lateness, wake, late_us)
         if record["skipped"]:
             trace.instant(marks, deadline, f"{record['skipped']} cycles skipped")
