@@ -183,7 +183,7 @@ class Supervisor:
         parts: Sequence[Part],
         on_line: Callable[[str, str], None] = lambda _name, _line: None,
         lead_s: float = 1.0,
-        ready_s: float = 60.0,
+        ready_s: float = 300.0,
     ) -> None:
         self._parts = {part.name: part for part in parts}
         if len(self._parts) != len(parts):
@@ -286,7 +286,7 @@ class Supervisor:
             raise ValueError(f"{name} still runs")
         self._spawn(self._parts[name])
 
-    def stop(self, grace_s: float = 2.0, meanwhile: Callable[[], None] = lambda: None) -> None:
+    def stop(self, grace_s: float = 5.0, meanwhile: Callable[[], None] = lambda: None) -> None:
         """End all processes: the stations, then what they run on. Safe at any time; `ended` tells how they ended.
 
         Each is asked to stop, and woken in case a signal has stopped it. One that has not ended after the grace is
@@ -302,7 +302,7 @@ class Supervisor:
         finally:
             self._end(list(self._running), grace_s, meanwhile)
 
-    def stop_stations(self, grace_s: float = 2.0, meanwhile: Callable[[], None] = lambda: None) -> None:
+    def stop_stations(self, grace_s: float = 5.0, meanwhile: Callable[[], None] = lambda: None) -> None:
         """End all but the services, see `stop`."""
         services = [name for name, running in self._running.items() if running.part.start is Start.SERVICE]
         self._end([name for name in self._running if name not in services], grace_s, meanwhile)
