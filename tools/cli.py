@@ -13,7 +13,7 @@ from rich.console import Console
 from dbc.errors import RaceloopError
 from tools.exit_status import ExitStatus
 
-_REAL_TIME_ONLY = ("bus", "interfaces", "port", "without", "priority", "cpu")
+_REAL_TIME_ONLY = ("bus", "interfaces", "port", "without", "priority", "cpu", "slower")
 """Options of `raceloop run` that mean nothing in lock step."""
 
 
@@ -68,7 +68,15 @@ def _run(options: argparse.Namespace, console: Console) -> int:
     from tools.realtime import run_realtime  # noqa: PLC0415
     from tools.realtime_run import make_options  # noqa: PLC0415
 
-    chosen = make_options(options.bus, options.interfaces, options.port, options.without, options.priority, options.cpu)
+    chosen = make_options(
+        options.bus,
+        options.interfaces,
+        options.port,
+        options.without,
+        options.priority,
+        options.cpu,
+        1 if options.slower is None else options.slower,
+    )
     return run_realtime(options.scenario, options.out, console, chosen)
 
 
@@ -133,6 +141,9 @@ def make_parser() -> argparse.ArgumentParser:
     )
     live.add_argument("--priority", type=int, metavar="N", help="SCHED_FIFO priority of the ECUs, 1 to 99")
     live.add_argument("--cpu", type=int, metavar="N", help="core for ECUs and hub alone")
+    live.add_argument(
+        "--slower", type=_count, metavar="N", help="N times slower, where the machine cannot keep up (default: 1)"
+    )
 
     check = commands.add_parser("check-params", help="let the firmware validate an operation configuration")
     check.add_argument("file", type=Path, help="YAML file")

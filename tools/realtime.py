@@ -191,6 +191,7 @@ def _summary(run: RealTimeRun, course: _Course, recording: Recording, folder: Pa
         "real_time": {
             "bus": "hub" if run.options.interfaces is None else "socketcan",
             "addresses": {CHANNELS[bus]: address for bus, address in run.addresses().items()},
+            "slower": run.options.slower,
             "without": sorted(run.options.without),
             "epoch_ns": run.supervisor.epoch_ns,
             "interrupted": course.interrupted,

@@ -43,6 +43,9 @@ PHASES_US: Mapping[str, int] = MappingProxyType(
 #: Parts that can be left out.
 STATIONS = tuple(PHASES_US)
 
+#: How many times slower than real time a run may be: the period of an executable goes up to a second.
+SLOWER = range(1, 101)
+
 HUB = "hub"
 
 #: SocketCAN interfaces of CAN1, CAN3, CANA and CANS unless others are given.
@@ -82,12 +85,19 @@ class RealTimeOptions:
     hub_port : TCP port on 127.0.0.1 for socketcand clients of the hub; 0 for any that is free.
     without : stations that are left out.
     placement : cores and priorities.
+    slower : how many times slower than real time the car lives; its own time stays as it is.
     """
 
     interfaces: tuple[str, ...] | None = None
     hub_port: int = 0
     without: frozenset[str] = frozenset()
     placement: Placement = field(default_factory=Placement)
+    slower: int = 1
+
+    @property
+    def period_us(self) -> int:
+        """Real time of one cycle."""
+        return TICK_US * self.slower
 
 
 def make_options(
@@ -97,6 +107,7 @@ def make_options(
     without: Sequence[str] = (),
     priority: int | None = None,
     cpu: int | None = None,
+    slower: int = 1,
 ) -> RealTimeOptions:
     """Options from what a user gives.
 
@@ -104,6 +115,7 @@ def make_options(
     ----------
     bus : "hub" or "socketcan"; None for the hub.
     interfaces : names of four interfaces for SocketCAN; None for vcan0 to vcan3.
+    hub_port, without, priority, cpu, slower : see `RealTimeOptions`.
 
     Raises
     ------
@@ -124,9 +136,11 @@ def make_options(
             )
     elif interfaces is not None:
         raise RaceloopError("--interfaces needs --bus socketcan")
+    if slower not in SLOWER:
+        raise RaceloopError(f"--slower {slower}: must be {SLOWER.start} to {SLOWER.stop - 1}")
     placement = Placement(priority, cpu)
     chosen = None if interfaces is None else tuple(interfaces)
-    return RealTimeOptions(chosen, hub_port or 0, frozenset(without), placement)
+    return RealTimeOptions(chosen, hub_port or 0, frozenset(without), placement, slower)
 
 
 @dataclass(frozen=True)
@@ -178,13 +192,14 @@ def make_parts(scenario: Scenario, options: RealTimeOptions, shared: SharedFiles
     for name, phase_us in PHASES_US.items():
         role = _ROLES.get(name, Role.ECU)
         if role is Role.ECU:
-            parts[name] = ecu_part(name, options, shared, cycles)
+            parts[name] = ecu_part(name, options, shared, cycles, options.period_us)
         else:
             # -P: a folder "tools" where the user happens to stand is none of ours.
             command = [sys.executable, "-P", "-m", "tools.station", name, str(scenario.path)]
             command += _station_arguments(name, options, shared, cycles)
             command += [f"--truth={shared.truth}"] if name == "plant" else []
-            command += [f"--phase={phase_us}", *options.placement.options(role)]
+            command += [f"--phase={phase_us * options.slower}", f"--period={options.period_us}"]
+            command += options.placement.options(role)
             parts[name] = Part(name, tuple(command), Start.PREPARES)
     return parts
 
@@ -327,12 +342,12 @@ class RealTimeRun:
 
     @property
     def now_us(self) -> int:
-        """Time since the epoch; negative before it."""
-        return (time.monotonic_ns() - self.supervisor.epoch_ns) // 1000
+        """The car's time, since the epoch; negative before it."""
+        return (time.monotonic_ns() - self.supervisor.epoch_ns) // (1000 * self.options.slower)
 
     def seconds(self, time_ns: int) -> float:
-        """Time since the epoch, s, of a time on CLOCK_MONOTONIC."""
-        return (time_ns - self.supervisor.epoch_ns) * 1e-9
+        """The car's time, s, at a time on CLOCK_MONOTONIC."""
+        return (time_ns - self.supervisor.epoch_ns) * 1e-9 / self.options.slower
 
     def addresses(self) -> dict[Bus, str]:
         """Address of each bus."""
@@ -420,7 +435,8 @@ class RealTimeRun:
             make_folder(folder)
             names, units = ((), ()) if self._truth is None else (self._truth.names, self._truth.units)
             self._recorder = Recorder(folder, names, units, keep=True)
-        self.observer = Observer(self.links, self._recorder.add_frames if self._recorder else None)
+        sink = self._recorder.add_frames if self._recorder else None
+        self.observer = Observer(self.links, sink, self.options.slower)
 
     def _take_truth(self) -> None:
         if self._truth is None:

@@ -76,7 +76,12 @@ def _station_table(stations: Mapping[str, Mapping[str, Any]]) -> Table:
 
 
 def _row(values: Iterable[float | None]) -> str:
-    return "/".join(_number(value, 0) for value in values)
+    return "/".join(map(_microseconds, values))
+
+
+def _microseconds(value: float | None) -> str:
+    """A whole number; milliseconds, and said so, where it has more than five digits."""
+    return _number(value, 0) if value is None or value < 99_999.5 else f"{value * 1e-3:.0f}ms"
 
 
 def _number(value: float | None, digits: int) -> str:

@@ -141,7 +141,9 @@ def show_summary(summary: Mapping[str, Any], console: Console) -> None:
             f" {summary['real_time_factor']:.1f} times real time"
         )
     else:
-        console.print(f"{summary['simulated_s']:.2f} s in real time, buses over {real_time['bus']}")
+        slower = real_time["slower"]
+        pace = "in real time" if slower == 1 else f"{slower} times slower than real time"
+        console.print(f"{summary['simulated_s']:.2f} s {pace}, buses over {real_time['bus']}")
     if summary["tracking"] is not None:
         _show_driving(summary, console)
     console.print(_bus_table(summary["buses"]), width=WIDTH)

@@ -67,14 +67,21 @@ class Observer:
     ----------
     links : one per bus, without filters.
     sink : takes the frames in order of time: a recorder.
+    slower : how many times slower than real time the car lives; frames get the car's time.
 
     Attributes
     ----------
     monitor, load : what the frames say about the run, and how full the buses are.
     """
 
-    def __init__(self, links: Sequence[Listener], sink: Callable[[NDArray[np.void]], None] | None = None) -> None:
+    def __init__(
+        self,
+        links: Sequence[Listener],
+        sink: Callable[[NDArray[np.void]], None] | None = None,
+        slower: int = 1,
+    ) -> None:
         self._links = links
+        self._slower = slower
         self._sink = sink
         self._order = InOrder()
         self._next_us = 0
@@ -91,7 +98,7 @@ class Observer:
 
         Parameters
         ----------
-        now_us : since the epoch of the run.
+        now_us : the car's time.
         """
         self._listen()
         if now_us >= self._next_us:
@@ -105,7 +112,11 @@ class Observer:
 
     def _listen(self) -> None:
         for link in self._links:
-            self._order.add(link.receive())
+            frames = link.receive()
+            if self._slower != 1:
+                frames = frames.copy()
+                frames["time_us"] //= self._slower
+            self._order.add(frames)
 
     def _pass_on(self, frames: NDArray[np.void]) -> None:
         if frames.size:

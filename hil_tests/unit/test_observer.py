@@ -7,7 +7,7 @@ import pytest
 
 from bridge.bench import TICK_US
 from bridge.realtime.bus_load import BusLoad
-from bridge.realtime.observer import InOrder
+from bridge.realtime.observer import InOrder, Observer
 from bridge.scenario import load_scenario
 from dbc.frames import FRAME_DTYPE, Bus
 from tools.run import DEFAULT_SCENARIO, build_bench
@@ -108,3 +108,18 @@ def test_load_of_a_silent_bus_is_zero():
     assert (found[Bus.CAN1]["frames"], found[Bus.CAN1]["load"], found[Bus.CAN1]["load_peak"]) == (0, 0.0, 0.0)
     assert found[Bus.CAN_S]["frames"] == 1
     assert found[Bus.CAN_S]["load_peak"] == pytest.approx(found[Bus.CAN_S]["load"] * 1000)
+
+
+def test_frames_get_the_time_of_a_car_that_lives_slower():
+    class Ear:
+        def __init__(self) -> None:
+            self.heard = [frames(Bus.CAN1, 30, 75), frames(Bus.CAN1, 160)]
+
+        def receive(self) -> np.ndarray:
+            return self.heard.pop(0) if self.heard else frames(Bus.CAN1)
+
+    recorded: list[np.ndarray] = []
+    observer = Observer([Ear()], recorded.append, slower=5)
+    observer.poll(0)
+    observer.finish()
+    assert [rows(taken) for taken in recorded] == [[(6, 0), (15, 0), (32, 0)]]
