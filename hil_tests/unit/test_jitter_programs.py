@@ -14,6 +14,7 @@ import pytest
 
 from dbc.errors import RaceloopError
 from tools.jitter import cyclictest, load
+from tools.jitter.alone import machine_limit
 from tools.jitter.background import Background, find_program
 from tools.jitter.cyclictest import CyclicTest, may_start, parse
 from tools.jitter.load import LOADS, start_load
@@ -180,6 +181,29 @@ def test_a_core_that_does_not_exist_is_cyclictests_own_error(tmp_path: Path):
     assert started is not None
     with started, pytest.raises(RaceloopError, match=r"^cyclictest: "):
         started.wait(30.0)
+
+
+@has_cyclictest
+def test_measurement_goes_on_without_a_cyclictest_that_fails(tmp_path: Path):
+    test = case(tmp_path, priority=None, cpu=4095)
+    started = test.start(time.monotonic_ns())
+    assert started is not None
+    with started:
+        machine, (note,) = machine_limit(test, started)
+    assert machine is None
+    assert note.startswith("cyclictest: ")
+    assert note.endswith("; left out")
+
+
+def test_stall_of_the_machine_is_named(tmp_path: Path):
+    test = case(tmp_path)
+    for maximum, notes in ((9_999, []), (33_000, ["the machine stalled: cyclictest itself woke up 33.0 ms late"])):
+        test.result.write_text(result({"50": 99, str(maximum): 1}, 100, maximum))
+        with Background("cyclictest", ["true"]) as started:
+            started.wait(10.0)
+            machine, said = machine_limit(test, started)
+        assert machine is not None
+        assert said == notes
 
 
 def test_programs_that_are_not_installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

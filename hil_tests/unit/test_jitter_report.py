@@ -81,7 +81,7 @@ def test_worst_cycles_are_named_with_what_ran_in_them():
     lines = page(measurement())
     start = lines.index("  worst cycles, us from the deadline to the last frame with the kernel:")
     assert lines[start + 1] == "    cycle 7 at 0.074 s on core 0: 1260, mostly off the core"
-    assert lines[start + 2] == "      timer 60, waiting 0, program 150, off the core 1050 (2 preemptions)"
+    assert lines[start + 2] == "      timer 60, waiting 0, program 150, off the core 1050 (preemptions: 2)"
     assert lines[start + 3] == "      tasks: receive 30, monitor 60"
 
 

@@ -22,7 +22,7 @@ from dbc.codec import database
 from dbc.errors import RaceloopError
 from dbc.frames import Bus
 from tools.jitter.background import Background
-from tools.jitter.cyclictest import PACKAGE, may_start
+from tools.jitter.cyclictest import PACKAGE, CyclicTest, may_start
 from tools.jitter.figures import Distribution, Stamps
 from tools.jitter.measurement import Cycles, Measurement, stamps_of
 from tools.jitter.peers import PEERS, peer_command
@@ -76,8 +76,13 @@ def measure_alone(setup: Setup, stimulus: Path, folder: Path, condition: str) ->
     shared = SharedFiles(folder)
     with setup.options.placement.on_other_cores(), _up(setup, shared) as buses:
         measurement = _measure_ecu(setup, buses, stimulus, shared, condition)
-        peers = {name: _measure_peer(setup, buses, name) for name in PEERS}
-    return replace(measurement, peers=peers)
+        peers, notes = {}, list(measurement.notes)
+        for name in PEERS:
+            try:
+                peers[name] = _measure_peer(setup, buses, name)
+            except RaceloopError as error:
+                notes.append(f"{error}; left out")
+    return replace(measurement, peers=peers, notes=tuple(notes))
 
 
 @contextmanager
@@ -135,7 +140,7 @@ def _measure_ecu(setup: Setup, buses: _Buses, stimulus: Path, shared: SharedFile
             look()
         supervisor.stop(meanwhile=receiver.poll)
         receiver.poll()
-        machine = None if beside is None else test.finish(beside)
+        machine, notes = machine_limit(test, beside)
     log, played = (_first(read_cycle_log(logs[name]), setup.cycles) for name in (setup.ecu.name, _PLAYER))
     frames = receiver.frames()
     return Measurement(
@@ -144,7 +149,7 @@ def _measure_ecu(setup: Setup, buses: _Buses, stimulus: Path, shared: SharedFile
         cycles=Cycles(log),
         frames=frames[frames["time_us"] < (end_ns - supervisor.epoch_ns) // 1000],
         machine=machine,
-        notes=(*machine_notes(machine, setup.period_ns), *receiver_notes(receiver), *_player_notes(played, setup)),
+        notes=(*notes, *receiver_notes(receiver), *_player_notes(played, setup)),
     )
 
 
@@ -177,14 +182,18 @@ def _measure_peer(setup: Setup, buses: _Buses, name: str) -> Stamps:
     return stamps_of(command.name, receiver.frames(), epoch_ns)
 
 
-def machine_notes(machine: Distribution | None, period_ns: int) -> list[str]:
-    """What cyclictest says about the measurement as a whole."""
-    if machine is None:
-        return [f"cyclictest is not installed, so the machine's own lateness is not known: apt install {PACKAGE}"]
+def machine_limit(test: CyclicTest, beside: Background | None) -> tuple[Distribution | None, list[str]]:
+    """What cyclictest has found, and what there is to say about it; beside: None when it is not installed."""
+    if beside is None:
+        return None, [f"cyclictest is not installed, so the machine's own lateness is not known: apt install {PACKAGE}"]
+    try:
+        machine = test.finish(beside)
+    except RaceloopError as error:
+        return None, [f"{error}; left out"]
     worst = machine.figures().maximum
-    if worst is not None and worst * 1000.0 >= period_ns:
-        return [f"the machine stalled: cyclictest itself woke up {worst / 1000.0:.1f} ms late"]
-    return []
+    if worst is not None and worst * 1000.0 >= test.period_ns:
+        return machine, [f"the machine stalled: cyclictest itself woke up {worst / 1000.0:.1f} ms late"]
+    return machine, []
 
 
 def receiver_notes(receiver: Receiver) -> list[str]:

@@ -206,7 +206,7 @@ def _counts(measurement: Measurement) -> list[str]:
 
 
 def _worst_lines(cycle: WorstCycle) -> list[str]:
-    times = f" ({cycle.preemptions} preemptions)" if cycle.preemptions else ""
+    times = f" (preemptions: {cycle.preemptions})" if cycle.preemptions else ""
     faults = f", {cycle.page_faults} page faults" if cycle.page_faults else ""
     parts = (
         f"timer {cycle.timer:.0f}, waiting {cycle.queued:.0f}, program {cycle.processor:.0f},"

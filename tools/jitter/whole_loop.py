@@ -9,9 +9,10 @@ from dataclasses import replace
 from bridge.realtime.cycle_log import read_cycle_log
 from bridge.realtime.link import CanLink
 from bridge.realtime.plant_station import PlantExit
+from bridge.realtime.supervisor import Ended
 from bridge.scenario import Scenario
 from dbc.errors import RaceloopError
-from tools.jitter.alone import machine_notes, receiver_notes
+from tools.jitter.alone import machine_limit, receiver_notes
 from tools.jitter.cyclictest import may_start
 from tools.jitter.measurement import Cycles, Measurement
 from tools.jitter.receiver import Receiver
@@ -53,13 +54,13 @@ def measure_whole_loop(setup: Setup, scenario: Scenario, condition: str) -> Meas
             for ended in run.poll():
                 over = ended.name == _PLANT and ended.status == PlantExit.FINISHED
                 if not over:
-                    raise RaceloopError(f"{ended} at {run.seconds(ended.time_ns):.2f} s: {ended.last_line}")
+                    raise RaceloopError(_why(ended, scenario, run.seconds(ended.time_ns)))
             receiver.poll()
             if run.now_us > scenario.time_limit_us + _PATIENCE_US:
                 raise RaceloopError(f"{scenario.name} has not ended in time")
         run.finish()
         receiver.poll()
-        machine = None if beside is None else test.finish(beside)
+        machine, notes = machine_limit(test, beside)
         logs = {name: read_cycle_log(run.shared.cycle_log(name)) for name in STATIONS}
     # The scenario ends with the plant's last cycle; while the plant's process goes, the others miss their input.
     end_ns = int(logs[_PLANT].records["sent_ns"][-1])
@@ -72,5 +73,12 @@ def measure_whole_loop(setup: Setup, scenario: Scenario, condition: str) -> Meas
         frames=frames[frames["time_us"] < (end_ns - epoch_ns) // 1000],
         machine=machine,
         stations={name: Cycles(log) for name, log in logs.items()},
-        notes=(*machine_notes(machine, setup.period_ns), *receiver_notes(receiver)),
+        notes=(*notes, *receiver_notes(receiver)),
     )
+
+
+def _why(ended: Ended, scenario: Scenario, seconds: float) -> str:
+    """Why a run that has not finished is over."""
+    if ended.name == _PLANT and ended.status in (PlantExit.TIME_UP, PlantExit.REJECTED):
+        return f"{scenario.path}: did not come to its finish: {PlantExit(ended.status).name.lower().replace('_', ' ')}"
+    return f"{ended} at {seconds:.2f} s"
