@@ -28,6 +28,8 @@ from dbc.codec import database
 from dbc.frames import Frame
 from dbc.network import load_network
 
+pytestmark = pytest.mark.realtime
+
 FULL_BRAKE_PA = 6.0e6
 STATIONS = {"obc": Station.OBC, "raptor": Station.RAPTOR, "space-drive": Station.SPACE_DRIVE}
 

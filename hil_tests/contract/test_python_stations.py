@@ -32,6 +32,8 @@ from dbc.frames import Bus, Frame, iterate
 from tools.run import find_scenario
 from tools.station import BUSES, main
 
+pytestmark = pytest.mark.realtime
+
 SCENARIO = find_scenario("short_drive")
 
 

@@ -26,6 +26,8 @@ from tools.cli import main
 from tools.jitter import cyclictest, load
 from tools.jitter.background import find_program
 
+pytestmark = pytest.mark.realtime
+
 BOUND_S = 120.0
 """Generous: waits end as soon as what they wait for has happened."""
 

@@ -22,6 +22,8 @@ from bridge.replay import read_log
 from dbc.codec import database
 from tools.realtime_run import PHASES_US
 
+pytestmark = pytest.mark.realtime
+
 ALL = ("hub", *PHASES_US, "recorder")
 
 

@@ -25,6 +25,8 @@ from dbc.frames import Bus
 from tools.realtime_run import PHASES_US
 from tools.run import build_bench, find_scenario
 
+pytestmark = pytest.mark.realtime
+
 #: Slots in a row that a station may miss before others must notice: less than any timeout on the buses.
 HARMLESS_SLOTS = 3
 
