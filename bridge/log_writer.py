@@ -37,7 +37,7 @@ PARTIAL = ".partial"
 
 #: One record from the recorder: kind and length, then that many bytes.
 RECORD = Struct("<cQ")
-FRAMES_RECORD, TRUTH_RECORD, END_RECORD = b"F", b"T", b"E"
+FRAMES_RECORD, TRUTH_RECORD, END_RECORD, ABORT_RECORD = b"F", b"T", b"E", b"A"
 
 #: Frames, and rows of truth, that make one row group.
 _FRAMES_PER_GROUP = 1 << 18
@@ -232,22 +232,32 @@ def _field(name: str, kind: pa.DataType, unit: str) -> pa.Field:
     return pa.field(name, kind, nullable=False, metadata={"unit": unit})
 
 
-def serve(stream: BinaryIO, writer: LogWriter) -> str | None:
-    """Write records from a stream until its end record; None when the stream breaks off before."""
-    while header := stream.read(RECORD.size):
-        if len(header) < RECORD.size:
-            return None
+def serve(stream: BinaryIO, writer: LogWriter, keep: bool) -> str | None:
+    """Write records from a stream until the one that ends it.
+
+    Parameters
+    ----------
+    keep : what to do when the stream breaks off, because whoever recorded has died: finish what there is.
+
+    Returns
+    -------
+    str or None
+        SHA-256 of the candump log, or None: there is to be no recording.
+    """
+    while len(header := stream.read(RECORD.size)) == RECORD.size:
         kind, length = RECORD.unpack(header)
         payload = stream.read(length)
         if len(payload) < length:
-            return None
+            break
         if kind == FRAMES_RECORD:
             writer.add_frames(payload)
         elif kind == TRUTH_RECORD:
             writer.add_truth(payload)
+        elif kind == ABORT_RECORD:
+            return None
         elif kind == END_RECORD:
             return writer.finish()
-    return None
+    return writer.finish() if keep else None
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -258,13 +268,10 @@ def main(arguments: Sequence[str]) -> int:
     try:
         writer = LogWriter(folder, options["names"], options["units"])
         try:
-            digest = serve(sys.stdin.buffer, writer)
+            digest = serve(sys.stdin.buffer, writer, options["keep"])
         except BaseException:
             writer.abort()
             raise
-        if digest is None and options["keep"]:
-            writer.finish()
-            return 0
         if digest is None:
             writer.abort()
             return 1

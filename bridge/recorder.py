@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bridge.log_writer import (
+    ABORT_RECORD,
     BLF,
     CANDUMP,
     END_RECORD,
@@ -124,6 +125,7 @@ class Recorder:
     def abort(self) -> None:
         """End without a recording: what was written is removed. Safe at any time."""
         if self._process.returncode is None:
+            self._records.put(RECORD.pack(ABORT_RECORD, 0))
             self._wait()
 
     def _send(self, kind: bytes, payload: bytes) -> None:

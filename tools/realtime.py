@@ -26,7 +26,7 @@ from tools.realtime_run import RealTimeOptions, RealTimeRun
 from tools.realtime_summary import stations_summary
 from tools.recorded import Recorded
 from tools.run import SUMMARY, conclude, find_scenario, load_road
-from tools.stop_signal import asked_to_stop_is_ctrl_c
+from tools.stop_signal import asked_to_stop_is_ctrl_c, not_to_be_stopped
 from tools.summary import driving_summary, event_summary, show_summary, write_summary
 
 CYCLES = "cycles"
@@ -60,10 +60,11 @@ def run_realtime(scenario_name: str | None, folder: Path, console: Console, opti
             course.follow(console)
         except KeyboardInterrupt:
             course.interrupted = True
-        recording = run.finish(folder / CYCLES)
-        assert recording is not None
-        summary = _summary(run, course, recording, folder)
-    write_summary(summary, folder / SUMMARY)
+        with not_to_be_stopped():
+            recording = run.finish(folder / CYCLES)
+            assert recording is not None
+            summary = _summary(run, course, recording, folder)
+            write_summary(summary, folder / SUMMARY)
     show_summary(summary, console)
     if course.interrupted:
         print(f"raceloop: interrupted; what was recorded until then is in {folder}", file=sys.stderr)

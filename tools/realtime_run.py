@@ -316,6 +316,7 @@ class RealTimeRun:
         except BaseException:
             self._exits.close()
             raise
+        self._started = False
         self._recorder: Recorder | None = None
         self.links: list[CanLink] = []
         self._truth: TruthFile | None = None
@@ -331,7 +332,11 @@ class RealTimeRun:
     ) -> None:
         with self._exits:
             self.supervisor.stop()
-            if self._recorder is not None:
+            if self._recorder is None:
+                return
+            if self._started:
+                self._recorder.finish()  # an error ends the run; what it has come to is not lost
+            else:
                 self._recorder.abort()
 
     @property
@@ -372,6 +377,7 @@ class RealTimeRun:
         """
         self._exits.enter_context(self.options.placement.on_other_cores())
         self.supervisor.start(partial(self._attach, folder))
+        self._started = True
 
     def poll(self, timeout_s: float = 0.005) -> list[Ended]:
         """Look at processes and buses; returns the processes that have ended since the last call."""

@@ -1,4 +1,4 @@
-"""SIGTERM as Ctrl-C, for commands that have processes to end."""
+"""How commands that have processes to end take Ctrl-C and SIGTERM."""
 
 from __future__ import annotations
 
@@ -20,3 +20,14 @@ def asked_to_stop_is_ctrl_c() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGTERM, before)
+
+
+@contextmanager
+def not_to_be_stopped() -> Iterator[None]:
+    """Ignore both for the short time in which what was recorded is put into place."""
+    before = {number: signal.signal(number, signal.SIG_IGN) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

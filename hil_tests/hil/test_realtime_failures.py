@@ -5,6 +5,7 @@ In each case all processes end, and what was recorded can be read.
 
 from __future__ import annotations
 
+import os
 import shlex
 import signal
 import socket
@@ -19,8 +20,11 @@ import pytest
 from realtime_harness import BOUND_S, RealTimeCommand, until
 
 from bridge.replay import read_log
+from bridge.scenario import load_scenario
 from dbc.codec import database
-from tools.realtime_run import PHASES_US
+from dbc.errors import RaceloopError
+from tools.realtime_run import PHASES_US, RealTimeRun, make_options
+from tools.run import find_scenario
 
 pytestmark = pytest.mark.realtime
 
@@ -110,6 +114,8 @@ def test_an_interrupted_run_is_recorded(start: Callable[..., RealTimeCommand], n
     command = start()
     power_on(command)
     command.process.send_signal(number)
+    command.wait_for_line("stops on Terminated")
+    command.process.send_signal(number)  # impatience changes nothing
     assert command.wait() == 130
     assert command.errors[-1] == f"raceloop: interrupted; what was recorded until then is in {command.folder}"
     assert_recorded(command)
@@ -171,3 +177,38 @@ def test_a_part_of_ones_own_takes_the_place_of_one_that_is_left_out(start: Calla
     assert "raceloop" not in [line.split(":")[0] for line in command.errors[:-1]]
     assert summary["real_time"]["without"] == ["obc"]
     assert_recorded(command)
+
+
+def test_an_error_in_a_run_does_not_lose_the_recording(tmp_path: Path):
+    """Whoever drives a run from Python and fails leaves no process, and has what was recorded."""
+    folder = tmp_path / "out"
+
+    def fail() -> None:
+        with RealTimeRun(load_scenario(find_scenario("short_drive")), make_options()) as run:
+            run.start(folder)
+            end = time.monotonic() + BOUND_S
+            while run.now_us < 1_000_000:
+                assert run.poll() == []
+                assert time.monotonic() < end
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        fail()
+    assert read_log(folder / "frames.log").size > 1000
+    assert not (folder / ".partial").exists()
+    assert_no_child_is_left()
+
+
+def test_an_ecu_that_does_not_start_leaves_no_recording(tmp_path: Path):
+    folder = tmp_path / "out"
+    with RealTimeRun(load_scenario(find_scenario("short_drive")), make_options(without=["plant"])) as run:
+        run.shared.wires.write_bytes(b"")
+        with pytest.raises(RaceloopError, match=r"wires: "):
+            run.start(folder)
+    assert list(folder.iterdir()) == []
+    assert_no_child_is_left()
+
+
+def assert_no_child_is_left() -> None:
+    with pytest.raises(ChildProcessError):
+        os.waitpid(-1, os.WNOHANG)
