@@ -422,7 +422,8 @@ class RealTimeRun:
 
     def command_line(self, name: str) -> str:
         """The command that starts a part by hand, for this run."""
-        return shlex.join(self.parts[name].command_line(self.supervisor.epoch_ns))
+        words = [word for word in self.parts[name].command if word != "--with-parent"]
+        return shlex.join([*words, f"--epoch={self.supervisor.epoch_ns}"])
 
     def _forward(self, name: str, line: str) -> None:
         """Pass on a line of a log; the plant's last one is its report."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
 import signal
 import subprocess
 import sys
@@ -138,6 +139,16 @@ class RealTimeCommand:
 
         until(there, f"a line with {words!r}")
         return next(line for line in self.errors if words in line)
+
+    def printed_command(self, part: str) -> list[str]:
+        """The command that starts a part which was left out."""
+
+        def lines() -> list[str]:
+            at = [place for place, line in enumerate(self.output) if line.startswith(f"Without {part}.")]
+            return self.output[at[0] + 1 :][:1] if at else []
+
+        until(lines, f"the command that starts {part}")
+        return shlex.split(lines()[0])
 
     def wait(self) -> int:
         """Wait until it ends; returns its exit status."""

@@ -6,22 +6,24 @@ In each case all processes end, and what was recorded can be read.
 from __future__ import annotations
 
 import os
-import shlex
 import signal
 import socket
 import subprocess
 import time
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from pathlib import Path
 
+import can
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from realtime_harness import BOUND_S, RealTimeCommand, until
 
+from bridge.bus import CHANNELS
 from bridge.replay import read_log
 from bridge.scenario import load_scenario
-from dbc.codec import database
+from dbc.codec import MessageCodec, database
 from dbc.errors import RaceloopError
 from tools.realtime_run import PHASES_US, RealTimeRun, make_options
 from tools.run import find_scenario
@@ -156,27 +158,42 @@ def test_a_killed_supervisor_takes_all_with_it(start: Callable[..., RealTimeComm
     assert list(Path("/dev/shm").glob(shared)) == []
 
 
-def test_a_part_of_ones_own_takes_the_place_of_one_that_is_left_out(start: Callable[..., RealTimeCommand]):
-    """What the command prints is all that is needed."""
-    command = start("--without", "obc", parts=tuple(part for part in ALL if part != "obc"))
+def hear(command: RealTimeCommand, message: MessageCodec) -> None:
+    """Wait for a message on its bus, as any program of python-can would."""
+    port = int(command.wait_for_line("socketcand 127.0.0.1:").rpartition(":")[2])
+    channel = CHANNELS[message.bus]
+    with can.Bus(interface="socketcand", host="127.0.0.1", port=port, channel=channel) as bus:
+
+        def heard() -> bool:
+            received = bus.recv(timeout=0.1)
+            return received is not None and received.arbitration_id == message.frame_id
+
+        until(heard, f"{message.name} on {channel}")
+
+
+def test_parts_of_ones_own_take_the_place_of_those_that_are_left_out(start: Callable[..., RealTimeCommand]):
+    """The commands that are printed are all that is needed."""
+    without = {"obc": "brake_pressure_cmd", "autonomy": "node_status"}
+    options = [word for name in without for word in ("--without", name)]
+    command = start(*options, parts=tuple(part for part in ALL if part not in without))
     command.wait_for_line("raptor: runs")
-    until(lambda: any("raceloop-obc" in line for line in command.output), "the command that starts it")
-    words = shlex.split(next(line for line in command.output if "raceloop-obc" in line))
-    with subprocess.Popen([word for word in words if word != "--with-parent"], stderr=subprocess.DEVNULL) as own:
-        try:
-            time.sleep(4.0)
-            assert own.poll() is None
-            assert "obc" not in command.children
-            command.process.send_signal(signal.SIGINT)
-            assert command.wait() == 130
-        finally:
-            own.terminate()
-            own.wait(BOUND_S)
+    with ExitStack() as own:
+        for name in without:
+            words = command.printed_command(name)
+            process = own.enter_context(subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL))
+            own.callback(process.terminate)
+        for message in map(database.message, without.values()):
+            hear(command, message)
+        assert not set(without) & set(command.children)
+        command.process.send_signal(signal.SIGINT)
+        assert command.wait() == 130
     summary = command.summary()
     assert summary["configuration"] == "ACCEPTED"
-    assert "raceloop" not in [line.split(":")[0] for line in command.errors[:-1]]
-    assert summary["real_time"]["without"] == ["obc"]
+    assert summary["real_time"]["failures"] == []
+    assert summary["real_time"]["without"] == ["autonomy", "obc"]
     assert_recorded(command)
+    for message in without.values():
+        assert (command.folder / "signals" / f"{message}.parquet").exists()
 
 
 def test_an_error_in_a_run_does_not_lose_the_recording(tmp_path: Path):
