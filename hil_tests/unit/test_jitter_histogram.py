@@ -91,3 +91,10 @@ def test_outline_is_drawn_where_there_are_samples_only():
 def test_panel_without_series_is_drawn():
     ElementTree.fromstring(svg_picture("nothing", [[Panel("none", ())]]))
     ElementTree.fromstring(svg_picture("nothing", []))
+
+
+@pytest.mark.parametrize(("time", "anchor"), [(50.0, "end"), (4000.0, "start")])
+def test_names_stand_away_from_the_samples(time: float, anchor: str):
+    root = ElementTree.fromstring(svg_picture("", [[Panel("", (series(time, time),))]]))
+    (name,) = (text for text in root.iter(f"{SVG}text") if text.text == "raceloop-obc")
+    assert name.get("text-anchor") == anchor

@@ -119,12 +119,20 @@ def _draw_panel(panel: Panel) -> list[str]:
         out.append(
             f'<path d="{"".join(outline)}" fill="{fill}" fill-opacity="0.25" stroke="{colour}" stroke-width="1.2"/>'
         )
+    return out + _draw_legend(panel, counts, plot_width)
+
+
+def _draw_legend(panel: Panel, counts: Sequence[NDArray[np.int64]], plot_width: int) -> list[str]:
+    """Names of the series, on the side away from the highest bin."""
+    highest = max((int(np.argmax(count)) for count in counts), default=0)
+    left = bool(counts) and highest >= len(counts[0]) // 2
+    x, beside, anchor = (_LEFT + 6, 13, "start") if left else (_LEFT + plot_width - 8, -5, "end")
+    out = []
     for number, series in enumerate(panel.series):
-        y = _TOP + 14 + 15 * number
-        colour = _COLOURS[number % len(_COLOURS)]
-        out.append(f'<rect x="{_LEFT + plot_width - 8}" y="{y - 8}" width="8" height="8" fill="{colour}"/>')
+        y, colour = _TOP + 14 + 15 * number, _COLOURS[number % len(_COLOURS)]
+        out.append(f'<rect x="{x}" y="{y - 8}" width="8" height="8" fill="{colour}"/>')
         out.append(
-            f'<text x="{_LEFT + plot_width - 13}" y="{y}" text-anchor="end" paint-order="stroke" stroke="white"'
+            f'<text x="{x + beside}" y="{y}" text-anchor="{anchor}" paint-order="stroke" stroke="white"'
             f' stroke-width="3">{escape(series.label)}</text>'
         )
     return out

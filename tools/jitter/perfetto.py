@@ -6,6 +6,7 @@ numbers are those of Perfetto's ``protos/perfetto/trace``; a test reads the file
 
 from __future__ import annotations
 
+from functools import cache
 from itertools import count
 from pathlib import Path
 from struct import Struct
@@ -47,6 +48,7 @@ class Trace:
         self._packets = bytearray()
         self._uuids = count(1)
         self._names: dict[tuple[int, str], int] = {}
+        self._heads: dict[tuple[int, int, str], bytes] = {}  # how events of a kind, track and name begin
         first = _number(_SEQUENCE_ID, _SEQUENCE) + _number(_SEQUENCE_FLAGS, _CLEARS_INTERNED | _NEEDS_INTERNED)
         self._packets += _bytes(_PACKET, first)
 
@@ -70,21 +72,23 @@ class Trace:
 
     def begin(self, track: int, time_ns: int, name: str, **values: Value) -> None:
         """Begin a slice."""
-        self._event(track, time_ns, _SLICE_BEGIN, name, values)
+        self._event(_SLICE_BEGIN, track, time_ns, name, values)
 
     def end(self, track: int, time_ns: int) -> None:
         """End the innermost slice of a track that has not ended."""
-        event = _number(_TYPE, _SLICE_END) + _number(_TRACK_UUID, track)
-        self._add(_number(_TIMESTAMP, time_ns) + _bytes(_TRACK_EVENT, event))
+        head = self._heads.get((_SLICE_END, track, ""))
+        if head is None:
+            head = self._heads[_SLICE_END, track, ""] = _number(_TYPE, _SLICE_END) + _number(_TRACK_UUID, track)
+        self._packet(time_ns, head)
 
     def instant(self, track: int, time_ns: int, name: str, **values: Value) -> None:
         """Add a moment."""
-        self._event(track, time_ns, _INSTANT, name, values)
+        self._event(_INSTANT, track, time_ns, name, values)
 
     def value(self, track: int, time_ns: int, value: float) -> None:
         """Add a value to a counter's track."""
-        event = _number(_TYPE, _COUNTER) + _number(_TRACK_UUID, track) + _double(_DOUBLE_VALUE, value)
-        self._add(_number(_TIMESTAMP, time_ns) + _bytes(_TRACK_EVENT, event))
+        head = _number(_TYPE, _COUNTER) + _number(_TRACK_UUID, track)
+        self._packet(time_ns, head + _double(_DOUBLE_VALUE, value))
 
     def to_bytes(self) -> bytes:
         """The whole file."""
@@ -111,10 +115,13 @@ class Trace:
         self._add(_bytes(_TRACK_DESCRIPTOR, _number(_UUID, uuid) + content))
         return uuid
 
-    def _event(self, track: int, time_ns: int, kind: int, name: str, values: dict[str, Value]) -> None:
+    def _event(self, kind: int, track: int, time_ns: int, name: str, values: dict[str, Value]) -> None:
         interned = bytearray()
-        event = _number(_TYPE, kind) + _number(_TRACK_UUID, track)
-        event += _number(_NAME_IID, self._intern(_EVENT_NAMES, name, interned))
+        event = self._heads.get((kind, track, name))
+        if event is None:
+            event = _number(_TYPE, kind) + _number(_TRACK_UUID, track)
+            event += _number(_NAME_IID, self._intern(_EVENT_NAMES, name, interned))
+            self._heads[kind, track, name] = event
         for key, value in values.items():
             annotation = _number(_ANNOTATION_NAME_IID, self._intern(_ANNOTATION_NAMES, key, interned))
             if isinstance(value, str):
@@ -124,8 +131,10 @@ class Trace:
             else:
                 annotation += _number(_ANNOTATION_INT, value)
             event += _bytes(_ANNOTATION, annotation)
-        packet = _number(_TIMESTAMP, time_ns) + _bytes(_TRACK_EVENT, event)
-        self._add(packet + _bytes(_INTERNED_DATA, bytes(interned)) if interned else packet)
+        self._packet(time_ns, event, _bytes(_INTERNED_DATA, bytes(interned)) if interned else b"")
+
+    def _packet(self, time_ns: int, event: bytes, interned: bytes = b"") -> None:
+        self._add(_number(_TIMESTAMP, time_ns) + _bytes(_TRACK_EVENT, event) + interned)
 
     def _intern(self, kind: int, name: str, new: bytearray) -> int:
         """Number of a name; one not used before is added to `new`, for the packet that uses it first."""
@@ -141,21 +150,32 @@ class Trace:
 
 
 def _varint(value: int) -> bytes:
+    """Seven bits a byte, the low ones first, each byte but the last marked."""
+    if 0 <= value < 0x80:
+        return _ONE_BYTE[value]
     value &= (1 << 64) - 1  # negative numbers in two's complement
-    out = bytearray()
-    while value > 0x7F:
-        out.append(value & 0x7F | 0x80)
-        value >>= 7
-    out.append(value)
-    return bytes(out)
+    out = b""
+    while value >= 0x4000:  # two bytes at a time: most of what is written are times of seven bytes
+        out += _TWO_BYTES[value & 0x3FFF]
+        value >>= 14
+    return out + (_ONE_BYTE[value] if value < 0x80 else _ONE_BYTE[value & 0x7F | 0x80] + _ONE_BYTE[value >> 7])
+
+
+_ONE_BYTE = [bytes([value]) for value in range(256)]
+_TWO_BYTES = [bytes([value & 0x7F | 0x80, value >> 7 | 0x80]) for value in range(1 << 14)]
+
+
+@cache
+def _tag(field: int, wire_type: int) -> bytes:
+    return _varint(field << 3 | wire_type)
 
 
 def _number(field: int, value: int) -> bytes:
-    return _varint(field << 3) + _varint(value)
+    return _tag(field, 0) + _varint(value)
 
 
 def _bytes(field: int, value: bytes) -> bytes:
-    return _varint(field << 3 | 2) + _varint(len(value)) + value
+    return _tag(field, 2) + _varint(len(value)) + value
 
 
 def _text(field: int, value: str) -> bytes:
@@ -163,7 +183,7 @@ def _text(field: int, value: str) -> bytes:
 
 
 def _double(field: int, value: float) -> bytes:
-    return _varint(field << 3 | 1) + _DOUBLE.pack(value)
+    return _tag(field, 1) + _DOUBLE.pack(value)
 
 
 _PACKET_END = _number(_SEQUENCE_ID, _SEQUENCE) + _number(_SEQUENCE_FLAGS, _NEEDS_INTERNED)

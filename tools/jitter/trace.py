@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dbc.codec import database
-from dbc.frames import Bus, iterate
+from dbc.frames import Bus, Flag, iterate
 from tools.jitter.measurement import Cycles, Measurement
 from tools.jitter.perfetto import Trace
 
@@ -82,6 +83,13 @@ def _slice(trace: Trace, track: int, begin_ns: int, end_ns: int, name: str) -> N
     trace.end(track, end_ns)
 
 
+@cache
+def _name(bus: int, identifier: int, flags: int) -> str:
+    """Name of a frame's message, or its identifier where no message has it."""
+    message = database.find(bus, identifier, bool(flags & Flag.EXTENDED))
+    return message.name if message else f"0x{identifier:X}"
+
+
 class _BusTracks:
     """A track per bus, made when its first frame comes, with the frames as moments."""
 
@@ -92,14 +100,12 @@ class _BusTracks:
 
     def add(self, frames: NDArray[np.void], epoch_ns: int) -> None:
         """Add frames; times in us since the epoch."""
-        for frame in iterate(frames.tobytes()):
-            message = database.find(frame.bus, frame.id, bool(frame.flags & 1))
+        for time_us, identifier, bus, dlc, flags, _, data in iterate(frames.tobytes()):
             self._trace.instant(
-                self._track(frame.bus),
-                epoch_ns + frame.time_us * 1000,
-                message.name if message else f"0x{frame.id:X}",
-                id=frame.id,
-                data=frame.data[: frame.dlc].hex(" "),
+                self._track(bus),
+                epoch_ns + time_us * 1000,
+                _name(bus, identifier, flags),
+                data=data[:dlc].hex(" "),
             )
 
     def _track(self, bus: int) -> int:
