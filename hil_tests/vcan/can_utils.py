@@ -4,20 +4,23 @@ from __future__ import annotations
 
 import subprocess
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import IO
 
 from dbc.buses import Bus
 
 INTERFACES = {bus: f"vcan{int(bus)}" for bus in Bus}
-PATIENCE_S = 30.0
+PATIENCE_S = 60.0
+RECEIVE_BUFFER = 8_000_000
+"""Bytes, as far as the system allows it: candump may be kept from running for a while."""
 
 
 @contextmanager
-def process(*command: str) -> Iterator[subprocess.Popen[str]]:
-    """A program whose output is read as text; ended with the block whatever happens."""
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as running:
+def process(*command: str, output: IO[str] | None = None) -> Iterator[subprocess.Popen[str]]:
+    """A program whose output is read as text or goes to a file; ended with the block whatever happens."""
+    with subprocess.Popen(command, stdout=output or subprocess.PIPE, text=True) as running:
         try:
             yield running
         finally:
@@ -25,16 +28,26 @@ def process(*command: str) -> Iterator[subprocess.Popen[str]]:
 
 
 @contextmanager
-def candump(*options: str, interfaces: Sequence[str] = tuple(INTERFACES.values())) -> Iterator[subprocess.Popen[str]]:
+def candump(output: IO[str] | None = None) -> Iterator[subprocess.Popen[str]]:
     """Have candump write its log format to its standard output; the block begins when it hears all interfaces."""
+    interfaces = tuple(INTERFACES.values())
     before = listeners(interfaces)
-    with process("candump", "-L", *options, *interfaces) as running:
-        deadline = time.monotonic() + PATIENCE_S
-        while any(now <= then for now, then in zip(listeners(interfaces), before, strict=True)):
+    with process("candump", "-L", "-r", str(RECEIVE_BUFFER), *interfaces, output=output) as running:
+
+        def listens() -> bool:
             assert running.poll() is None, "candump has ended"
-            assert time.monotonic() < deadline, "candump does not listen"
-            time.sleep(0.01)
+            return all(now > then for now, then in zip(listeners(interfaces), before, strict=True))
+
+        until(listens, "candump to listen")
         yield running
+
+
+def until(condition: Callable[[], bool], what: str) -> None:
+    """Wait until a condition holds."""
+    deadline = time.monotonic() + PATIENCE_S
+    while not condition():
+        assert time.monotonic() < deadline, f"waited {PATIENCE_S} s for {what}"
+        time.sleep(0.02)
 
 
 def listeners(interfaces: Sequence[str]) -> list[int]:
