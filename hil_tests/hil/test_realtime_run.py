@@ -151,9 +151,9 @@ def test_every_station_keeps_its_phase_on_the_common_epoch(run: Run):
         summed = run.summary["real_time"]["stations"][name]
         assert summed["cycles"] == len(records) > 500
         assert summed["skipped"] == int(records["skipped"].sum())
-        assert summed["lateness_us"]["maximum"] == pytest.approx(
-            float((records["wake_ns"] - records["deadline_ns"]).max()) * 1e-3
-        )
+        # A stall counts from the first slot that it cost.
+        late_ns = records["wake_ns"] - records["deadline_ns"] + records["skipped"] * np.uint64(10_000_000)
+        assert summed["lateness_us"]["maximum"] == pytest.approx(float(late_ns.max()) * 1e-3)
     phases = [PHASES_US[name] for name in ("plant", "autonomy", "obc", "raptor", "space-drive")]
     assert all(before < after for before, after in pairwise(phases))
 
