@@ -11,9 +11,10 @@ import os
 import selectors
 import signal
 import subprocess
+import threading
 import time
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from enum import Enum
 from types import TracebackType
@@ -98,6 +99,26 @@ def signal_name(number: int) -> str:
         return signal.Signals(number).name
     except ValueError:
         return f"signal {number}"
+
+
+@contextmanager
+def _signals_held() -> Iterator[None]:
+    """Let SIGINT and SIGTERM wait: a process in the middle of being started would be left running, known to nobody."""
+    if threading.current_thread() is not threading.main_thread():  # others get no KeyboardInterrupt
+        yield
+        return
+    held: list[int] = []
+    before = {
+        number: signal.signal(number, lambda number, _frame: held.append(number))
+        for number in (signal.SIGINT, signal.SIGTERM)
+    }
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        if held:
+            signal.raise_signal(held[0])
 
 
 class _Running:
@@ -338,7 +359,8 @@ class Supervisor:
                 raise RaceloopError(f"{waiting[0]} was not ready after {self._ready_s:g} s")
 
     def _spawn(self, part: Part) -> None:
-        running = self._running[part.name] = _Running(part, self.epoch_ns)
+        with _signals_held():
+            running = self._running[part.name] = _Running(part, self.epoch_ns)
         self._selector.register(running, selectors.EVENT_READ, running)
 
     def _forward(self, running: _Running) -> None:

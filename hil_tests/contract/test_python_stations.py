@@ -177,7 +177,15 @@ def test_both_speak_in_every_slot_and_stop_when_asked(tmp_path: Path, hub: Hub, 
             run.supervisor.stop(meanwhile=listen)
             assert [run.ended(name) for name in BUSES] == [0, 0]
             report = run.report()
-        listen()
+        status = database.message("node_status")
+        goodbye = [(node, NodeStatus.INACTIVE) for node in NodeId]
+
+        def said() -> list[tuple[float, ...]]:
+            listen()
+            return [status.decode(frame.data)[:2] for frame in heard[Bus.CAN_A] if frame.id == status.frame_id]
+
+        until(lambda: said()[-2:] == goodbye, "last words of autonomy")  # the hub has still to pass them on
+        assert NodeStatus.INACTIVE not in {code for _, code in said()[:-2]}
     assert (report["finished"], report["reason"], report["verdict"]) == (False, "stopped", "PENDING")
     # One sample and one row of truth per slot, also of those that it was late for.
     samples = [frame for frame in heard[Bus.CAN_S] if frame.id == database.message("imu_rates").frame_id]
@@ -188,11 +196,6 @@ def test_both_speak_in_every_slot_and_stop_when_asked(tmp_path: Path, hub: Hub, 
     assert len(samples) == len(times_us)
     assert times_us[-1] - times_us[0] == 10_000 * (len(times_us) - 1) + 1000 * lost_ms
     assert report["simulated_s"] == pytest.approx(0.01 * (len(times_us) - 1))
-    # Last words of autonomy.
-    status = database.message("node_status")
-    said = [status.decode(frame.data)[:2] for frame in heard[Bus.CAN_A] if frame.id == status.frame_id]
-    assert said[-2:] == [(node, NodeStatus.INACTIVE) for node in NodeId]
-    assert NodeStatus.INACTIVE not in {code for _, code in said[:-2]}
     # The plant's signals are on the wires.
     wired = ffi.new("raptor_wired_in *")
     assert wires.read(Cell.RAPTOR_IN, wired) > 0
