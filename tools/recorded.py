@@ -42,26 +42,46 @@ class Recorded:
         return _columns(self._truth)
 
     def plans(self) -> Plans:
-        """Every plan that was published, from its frames on CAN-A.
+        """Every plan that was published whole, from its frames on CAN-A.
 
-        Raises
-        ------
-        ValueError
-            When the frames of a plan are out of order, which the planner never does.
+        A plan with a frame missing is left out. Within a plan the order of frames does not matter: a kernel may pass
+        on in another order what one station sent.
         """
         pose, motion = self.message("trajectory_pose"), self.message("trajectory_motion")
-        count = min(pose["time_us"].size, motion["time_us"].size)  # the last plan may be cut off
-        if not np.array_equal(pose["pose_index"][:count], motion["motion_index"][:count]):
-            raise ValueError("trajectory_pose and trajectory_motion do not alternate")
-        return plans_from_points(
-            pose["pose_plan_counter"][:count].astype(np.int64),
-            pose["pose_index"][:count].astype(np.int64),
-            motion["time_us"][:count].astype(np.int64),
-            pose["pose_x"][:count],
-            pose["pose_y"][:count],
-            motion["motion_yaw"][:count],
-            motion["motion_curvature"][:count],
+        pose_number, pose_index = _numbered(pose["pose_plan_counter"]), pose["pose_index"].astype(np.int64)
+        motion_number, motion_index = _numbered(motion["motion_plan_counter"]), motion["motion_index"].astype(np.int64)
+        point, in_pose, in_motion = np.intersect1d(
+            pose_number * _POINTS_MAX + pose_index, motion_number * _POINTS_MAX + motion_index, return_indices=True
         )
+        _, plan, count = np.unique(point // _POINTS_MAX, return_inverse=True, return_counts=True)
+        last = np.zeros(count.size, np.int64)
+        np.maximum.at(last, plan, point % _POINTS_MAX)
+        whole = (count == last + 1)[plan]
+        in_pose, in_motion = in_pose[whole], in_motion[whole]
+        return plans_from_points(
+            pose_number[in_pose],
+            pose_index[in_pose],
+            motion["time_us"][in_motion].astype(np.int64),
+            pose["pose_x"][in_pose],
+            pose["pose_y"][in_pose],
+            motion["motion_yaw"][in_motion],
+            motion["motion_curvature"][in_motion],
+        )
+
+
+_POINTS_MAX = 1 << 6
+"""Points of a plan: their index has six bits."""
+
+_COUNTER_VALUES = 16
+"""Of the plan counter."""
+
+
+def _numbered(counter: Column) -> NDArray[np.int64]:
+    """Number of the plan that each frame belongs to, from the wrapping counter, whatever the order near a change."""
+    codes = counter.astype(np.int64)
+    half = _COUNTER_VALUES // 2
+    steps = (np.diff(codes, prepend=codes[:1]) + half) % _COUNTER_VALUES - half
+    return np.cumsum(steps) + (codes[0] if codes.size else 0) + _COUNTER_VALUES
 
 
 def _columns(path: Path) -> dict[str, Column]:
