@@ -45,7 +45,10 @@ MOVING = 4.0
 """m/s. Faster than this, the car drives."""
 
 STANDING = 0.05
-"""m/s. Slower than this, it stands."""
+"""m/s. Slower than this for SETTLED_US, it stands."""
+
+SETTLED_US = 500_000
+"""A car that stops rocks on its tyres, so that its speed passes through zero several times in half a second."""
 
 FULL_BRAKE_KPA = 6000.0
 FULL_BRAKE_PA = 6.0e6
@@ -232,6 +235,7 @@ class Car:
         self.receiver = receiver
         self.lines = lines
         self.ended: list[Ended] = []
+        self._moved_us = 0
         self._wires = wires
         self._drive: Any = ffi.new("space_drive_wired_out *")
 
@@ -239,6 +243,8 @@ class Car:
         """One look at everything."""
         self.ended += self.run.poll(0.002)
         self.receiver.poll()
+        if abs(self.speed) >= STANDING:
+            self._moved_us = self.run.now_us
 
     def until(self, condition: Callable[[], object], what: str, bound_s: float = BOUND_S) -> None:
         """Let the run go on until a condition holds."""
@@ -281,7 +287,8 @@ class Car:
 
     @property
     def stands(self) -> bool:
-        return abs(self.speed) < STANDING
+        """The car has come to rest, and stays there."""
+        return self.run.now_us - self._moved_us > SETTLED_US
 
     def says(self, message: str, signal_name: str, value: float) -> bool:
         """Whether the newest frame of a message has this value."""
