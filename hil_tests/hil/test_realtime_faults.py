@@ -11,12 +11,12 @@ import re
 import signal
 import subprocess
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 from reaction_times import SAFE_STOP, reactions_to
-from realtime_rig import FULL_BRAKE_PA, MOVING, Car, Measured, car, table
+from realtime_rig import FULL_BRAKE_PA, MOVING, Measured, car, table
+from station_loss import ECUS, FAULTS, LOSSES, SHUT_DOWN, SSM_BRAKES, Loss, comes_back, lose_and_get_back
 
 from bridge._native import lib
 from bridge.realtime.link import CanLink
@@ -24,8 +24,6 @@ from bridge.realtime.placement import Placement
 from bridge.surroundings import TICK_US
 from dbc.errors import RaceloopError
 from dbc.frames import Bus
-from dbc.states import SysState
-from firmware.tables import load_faults
 from tools.realtime_run import PHASES_US, RealTimeOptions
 
 pytestmark = pytest.mark.realtime
@@ -36,10 +34,6 @@ ALLOWANCE_US = 100_000
 PRIORITY = 90
 """Above what else may run in real time here. Who takes a core from the ECUs in a test comes above them."""
 ABOVE = 95
-
-ECUS = ("obc", "raptor", "space-drive")
-
-FAULTS = {fault.name: fault.id for fault in load_faults()}
 
 
 def placement(**choices: int) -> Placement:
@@ -60,89 +54,11 @@ def measured() -> Iterator[list[Measured]]:
     print(f"\n{table(all_of_them)}")
 
 
-@dataclass(frozen=True)
-class Loss:
-    """What follows from the loss of a part.
-
-    Attributes
-    ----------
-    gone : the part.
-    causes : what stations say about it: message, signal, value.
-    brakes : witnesses that brake from their reaction on, whatever comes back.
-    returns : witnesses that brake from when the part is back.
-    stops : the car comes to a stop without it.
-    """
-
-    gone: str
-    causes: tuple[tuple[str, str, float], ...]
-    brakes: tuple[str, ...]
-    returns: tuple[str, ...] = ()
-    stops: bool = True
-
-
-_SHUT_DOWN = ("misc_report", "sys_state", SysState.EMERGENCY_SHUTDOWN)
-_SSM_BRAKES = ("ssm_status", "ssm_state", lib.SSM_FULL_BRAKE)
-
-LOSSES = (
-    Loss("obc", (("diagnostic_report", "adlink_hb_lost", 1), _SHUT_DOWN), ("raptor",), ("obc",)),
-    Loss(
-        "raptor",
-        (("ssm_status", "ssm_worst_fault", FAULTS["misc_report_missing"]), _SSM_BRAKES),
-        ("space-drive", "obc"),
-        ("raptor",),
-    ),
-    Loss(
-        "space-drive",
-        (("diagnostic_report", "est4_sd_comms_loss", 1), _SHUT_DOWN, _SSM_BRAKES),
-        ("raptor", "obc"),
-        stops=False,  # nothing else moves the brake
-    ),
-    Loss(
-        "autonomy",
-        (("ssm_status", "ssm_worst_fault", FAULTS["estimate_lost"]), _SSM_BRAKES),
-        ("obc", "raptor"),
-    ),
-    Loss("plant", (_SSM_BRAKES,), ("obc", "raptor"), stops=False),  # the car is in it
-)
-
-
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP], ids=lambda number: number.name)
 @pytest.mark.parametrize("loss", LOSSES, ids=lambda loss: loss.gone)
 def test_loss_of_a_station(loss: Loss, number: signal.Signals, tmp_path: Path, measured: list[Measured]) -> None:
-    """The others brake in time, and say why; when it is back, started anew or woken up, the car still stands."""
     with car(tmp_path, RealTimeOptions(placement=placement())) as it:
-        it.drive()
-        fault_us = it.signal(loss.gone, number)
-        measured += it.reacts(loss.gone, fault_us, f"{loss.gone} {number.name}", ALLOWANCE_US)
-        braking_us = it.run.now_us
-        it.until(lambda: all(it.says(*cause) for cause in loss.causes), f"{loss.causes}")
-        if loss.stops:
-            it.until(lambda: it.stands, "standstill")
-        comes_back(it, loss.gone, number)
-        back_us = it.run.now_us
-        it.until(lambda: it.stands, "standstill")
-        it.watch(0.5)
-        it.still_brakes(braking_us, *loss.brakes)
-        it.still_brakes(back_us, *loss.returns)
-        assert it.brake_demand()[1] == pytest.approx(FULL_BRAKE_PA, rel=1e-3)
-        assert it.says(*_SHUT_DOWN), it.story()
-        assert it.stands, it.story()
-
-
-def comes_back(it: Car, part: str, number: signal.Signals) -> None:
-    """Wake a part up, or start it anew, and let it work; its buses are up then."""
-    if number == signal.SIGSTOP:
-        it.signal(part, signal.SIGCONT)
-    else:
-        assert [str(ended) for ended in it.ended] == [f"{part} was ended by SIGKILL"]
-        it.run.supervisor.restart(part)
-        it.until(lambda: it.run.supervisor.is_ready(part), f"{part} to be ready")
-    if part == "hub":
-        back_us = it.run.now_us
-        it.until(lambda: all(it.receiver.braking(ecu)[0][-1] > back_us for ecu in ECUS), "frames of all ECUs")
-    else:
-        before = it.run.cycles().get(part, 0)
-        it.until(lambda: it.run.cycles().get(part, 0) > before + 10, f"cycles of {part}")
+        measured += lose_and_get_back(it, loss, number, ALLOWANCE_US)
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP], ids=lambda number: number.name)
@@ -167,8 +83,8 @@ def test_loss_of_the_hub(number: signal.Signals, tmp_path: Path, measured: list[
         it.until(lambda: it.stands, "standstill")
         it.watch(0.5)
         it.still_brakes(fault_us + slowest_us + ALLOWANCE_US, *ECUS)
-        assert it.says(*_SSM_BRAKES), it.story()
-        assert it.says(*_SHUT_DOWN), it.story()
+        assert it.says(*SSM_BRAKES), it.story()
+        assert it.says(*SHUT_DOWN), it.story()
         assert it.stands, it.story()
 
 
@@ -258,7 +174,7 @@ def test_second_onboard_computer(tmp_path: Path, measured: list[Measured]) -> No
         second = subprocess.Popen([*words, f"--phase={phase_us}"], stderr=subprocess.PIPE, text=True)
         try:
             it.until(lambda: all((it.receiver.brakes_since(by) or 0) > since_us for by in ("obc", "raptor")), "a brake")
-            it.until(lambda: it.says(*_SHUT_DOWN) and it.stands, "standstill")
+            it.until(lambda: it.says(*SHUT_DOWN) and it.stands, "standstill")
         finally:
             second.terminate()
             complaints = second.communicate()[1].splitlines()

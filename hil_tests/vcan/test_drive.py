@@ -8,7 +8,6 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -22,8 +21,8 @@ import cantools
 import pytest
 from can.io.canutils import CanutilsLogReader
 from can_utils import INTERFACES, candump, until
+from realtime_rig import quick_scenario
 
-import scenarios
 from bridge.bus import CHANNELS
 from bridge.realtime.placement import Placement
 from dbc.buses import DIRECTORY, Bus
@@ -63,16 +62,6 @@ class Drive:
         ]
 
 
-def short_scenario(folder: Path) -> Path:
-    """The shipped short drive, with the chequered flag as soon as the car has moved."""
-    shutil.copytree(scenarios.DIRECTORY, folder, ignore=shutil.ignore_patterns("*.py", "__pycache__"))
-    file = folder / "short_drive.yaml"
-    text = file.read_text()
-    assert text.count("distance_m: 80.0") == 1
-    file.write_text(text.replace("distance_m: 80.0", "distance_m: 2.0"))
-    return file
-
-
 def priority() -> list[str]:
     """Stations before observer and recorder, where this user may have it so."""
     try:
@@ -85,7 +74,7 @@ def priority() -> list[str]:
 @pytest.fixture(scope="module")
 def drive(tmp_path_factory: pytest.TempPathFactory) -> Drive:
     folder = tmp_path_factory.mktemp("drive")
-    scenario = short_scenario(folder / "scenarios")
+    scenario = quick_scenario(folder, chequered_m=2.0)
     log, out = folder / "candump.log", folder / "out"
     command = [RACELOOP, "run", scenario, "--realtime", "--bus", "socketcan", "--slower", str(SLOWER), "--out", out]
     command += priority()

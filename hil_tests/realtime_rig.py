@@ -1,7 +1,8 @@
 """A car in real time for fault tests: its processes in the test's hand, and a receiver of its own on every bus.
 
 The receiver is none of the run's parts. It has links of its own, sends nothing, and takes the kernel's stamps, so what
-it says about a reaction does not depend on when the test looked.
+it says about a reaction does not depend on when the test looked. All times are the car's, which may live slower than
+the clock on the wall.
 """
 
 from __future__ import annotations
@@ -10,7 +11,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -39,7 +39,7 @@ from tools.realtime_run import PHASES_US, RealTimeOptions, RealTimeRun
 from tools.run import find_scenario
 
 BOUND_S = 30.0
-"""Generous: waits end as soon as what they wait for has happened."""
+"""Of the car's time. Generous: waits end as soon as what they wait for has happened."""
 
 MOVING = 4.0
 """m/s. Faster than this, the car drives."""
@@ -128,22 +128,25 @@ class Receiver:
     ----------
     addresses : of the buses.
     epoch_ns : of the run.
+    slower : how many times slower than real time the car lives.
     """
 
-    def __init__(self, addresses: Mapping[Bus, str], epoch_ns: int) -> None:
+    def __init__(self, addresses: Mapping[Bus, str], epoch_ns: int, slower: int = 1) -> None:
         messages = [database.message(name) for name in _HEARD]
         self.links = [
             CanLink(address, bus, epoch_ns, [Filter(one.frame_id) for one in messages if one.bus == bus])
             for bus, address in addresses.items()
             if any(one.bus == bus for one in messages)
         ]
+        self._slower = slower
         self._frames: list[NDArray[np.void]] = []
 
     def poll(self) -> None:
         """Take what has come in."""
         for link in self.links:
             while (frames := link.receive()).size:
-                self._frames.append(frames)
+                self._frames.append(frames.copy())
+                self._frames[-1]["time_us"] //= self._slower
 
     def columns(self, message: str) -> tuple[NDArray[np.int64], Signals]:
         """Times in us since the epoch, and the signals, of all frames of a message."""
@@ -200,8 +203,14 @@ class Measured:
     took_us: int
 
 
-def quick_scenario(folder: Path) -> Path:
-    """short_drive without the pauses that people make: the car moves after four seconds. Written into the folder."""
+def quick_scenario(folder: Path, chequered_m: float | None = None) -> Path:
+    """short_drive without the pauses that people make: the car moves after four seconds.
+
+    Parameters
+    ----------
+    folder : gets the file.
+    chequered_m : distance at which the car is told to stop; None for never.
+    """
     origin = find_scenario("short_drive")
     content = yaml.safe_load(origin.read_text())
     content |= {key: str(origin.parent / content[key]) for key in ("track", "vehicle", "operation")}
@@ -214,6 +223,8 @@ def quick_scenario(folder: Path) -> Path:
         {"when": {"sys_state": "CRANK_CHECKS_PASSED"}, "set": {"track_flag": "ORANGE"}},
         {"when": {"ct_state": "RACEREADY"}, "set": {"track_flag": "YELLOW", "round_target_speed_mph": 31}},
     ]
+    if chequered_m is not None:
+        content["race_control"].append({"when": {"distance_m": chequered_m}, "set": {"vehicle_flag": "CHEQUERED"}})
     path = folder / "quick_drive.yaml"
     path.write_text(yaml.safe_dump(content))
     return path
@@ -248,15 +259,15 @@ class Car:
 
     def until(self, condition: Callable[[], object], what: str, bound_s: float = BOUND_S) -> None:
         """Let the run go on until a condition holds."""
-        end = time.monotonic() + bound_s
+        end_us = self.run.now_us + bound_s * 1e6
         while not condition():
-            assert time.monotonic() < end, f"waited {bound_s} s for {what}; {self.story()}"
+            assert self.run.now_us < end_us, f"waited {bound_s} s for {what}; {self.story()}"
             self.poll()
 
     def watch(self, seconds: float) -> None:
         """Let the run go on for a while, to see that something does not happen."""
-        end = time.monotonic() + seconds
-        while time.monotonic() < end:
+        end_us = self.run.now_us + seconds * 1e6
+        while self.run.now_us < end_us:
             self.poll()
 
     def story(self) -> str:
@@ -328,14 +339,17 @@ class Car:
             When that began, us since the epoch.
         """
         begun_ns = int(self._beside(_BUSY, str(core), str(seconds), str(priority or 0)))
-        return (begun_ns - self.run.supervisor.epoch_ns) // 1000
+        return self._car_us(begun_ns)
 
     def pause(self, part: str, seconds: float, priority: int) -> None:
         """Stop a part for so long and no longer: the one who does it has a priority of SCHED_FIFO."""
         self._beside(_PAUSE, str(self.run.supervisor.process_id(part)), str(seconds), str(priority))
 
     def flood(self, bus: Bus, seconds: float) -> int:
-        """Send frames of identifier 0 as fast as the bus takes them, from a process of its own; returns how many."""
+        """Send frames of identifier 0 as fast as the bus takes them, from a process of its own; returns how many.
+
+        The seconds are real ones.
+        """
         return int(self._beside(_FLOOD, self.run.addresses()[bus], str(int(bus)), str(seconds)))
 
     def _beside(self, program: str, *arguments: str) -> str:
@@ -374,7 +388,11 @@ class Car:
     def brake_demand(self) -> tuple[int, float]:
         """What the Space Drive has on its wires: when it was written, us since the epoch, and Pa."""
         written_ns = self._wires.read(Cell.SPACE_DRIVE_OUT, self._drive)
-        return (written_ns - self.run.supervisor.epoch_ns) // 1000, self._drive.brake_pressure_demand
+        return self._car_us(written_ns), self._drive.brake_pressure_demand
+
+    def _car_us(self, time_ns: int) -> int:
+        """The car's time, us since the epoch, at a time on CLOCK_MONOTONIC."""
+        return round(self.run.seconds(time_ns) * 1e6)
 
     def still_brakes(self, since_us: int, *witnesses: str) -> None:
         """Every frame of the witnesses since then has shown the reaction."""
@@ -394,7 +412,7 @@ def car(folder: Path, options: RealTimeOptions) -> Iterator[Car]:
     scenario = load_scenario(quick_scenario(folder))
     with RealTimeRun(scenario, options, lambda name, line: lines.append((name, line))) as run:
         run.start(recording_folder)
-        receiver = Receiver(run.addresses(), run.supervisor.epoch_ns)
+        receiver = Receiver(run.addresses(), run.supervisor.epoch_ns, options.slower)
         try:
             with WiredIo(run.shared.wires) as wires:
                 yield Car(run, receiver, lines, wires)

@@ -49,7 +49,7 @@ class Reaction:
     Attributes
     ----------
     gone : the part.
-    by : who reacts; a witness of `hil_tests/hil/realtime_rig.py`.
+    by : who reacts; a witness of `hil_tests/realtime_rig.py`.
     steps : from the fault to the frame that shows the reaction.
     """
 
