@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from dataclasses import asdict
 from pathlib import Path
@@ -12,6 +13,7 @@ from rich.console import Console
 from bridge.bus import CHANNELS
 from bridge.laps import LapTimer
 from bridge.operator import Verdict
+from bridge.realtime.placement import Placement
 from bridge.realtime.supervisor import Ended
 from bridge.realtime.watch import CycleWatch, RunWatch
 from bridge.recorder import Recording
@@ -21,6 +23,7 @@ from dbc.codec import database
 from firmware.parameters import Offence, decode_results, load_operation
 from firmware.tables import load_parameters
 from tools.exit_status import ExitStatus
+from tools.jitter.machine import BUSY_SHARE, WATCH_S, busy_share
 from tools.progress import ProgressBar
 from tools.realtime_run import RealTimeOptions, RealTimeRun
 from tools.realtime_summary import stations_summary
@@ -52,6 +55,7 @@ def run_realtime(scenario_name: str | None, folder: Path, console: Console, opti
     database.check_sources()
     scenario = load_scenario(find_scenario(scenario_name))
     load_road(scenario, scenario.track)
+    _warn_of_busy_cores(options.placement)
     with asked_to_stop_is_ctrl_c(), RealTimeRun(scenario, options, _say) as run:
         run.start(folder)
         course = _Course(run, scenario)
@@ -146,6 +150,16 @@ class _Course:
         if "plant" not in run.supervisor.running:
             return True
         return run.speed_mps is None or abs(run.speed_mps) < STANDSTILL_SPEED
+
+
+def _warn_of_busy_cores(placement: Placement) -> None:
+    """Say so when other work has the cores that the ECUs will need."""
+    placement.check()
+    cores = os.sched_getaffinity(0) if placement.cpu is None else {placement.cpu}
+    share = busy_share(cores, WATCH_S)
+    if share > BUSY_SHARE:
+        names = f"core{'s' * (len(cores) > 1)} {', '.join(map(str, sorted(cores)))}"
+        _say("raceloop", f"{names}: {share:.0%} busy with other work, cycles may come late")
 
 
 def _announce(run: RealTimeRun, console: Console) -> None:

@@ -169,7 +169,7 @@ class SharedFiles:
         return self.folder / f"{station}.cycles"
 
 
-def _shared_folder() -> tempfile.TemporaryDirectory[str]:
+def shared_folder() -> tempfile.TemporaryDirectory[str]:
     """A folder in memory whose name holds the process; those of processes that were killed are removed."""
     folder = _MEMORY if _MEMORY.is_dir() else Path(tempfile.gettempdir())
     for left in folder.glob("raceloop-run-*"):
@@ -200,7 +200,8 @@ def make_parts(scenario: Scenario, options: RealTimeOptions, shared: SharedFiles
             command += [f"--truth={shared.truth}"] if name == "plant" else []
             command += [f"--phase={phase_us * options.slower}", f"--period={options.period_us}"]
             command += options.placement.options(role)
-            parts[name] = Part(name, tuple(command), Start.PREPARES)
+            # An FMU is unpacked where the run's folder takes it along, however the process ends.
+            parts[name] = Part(name, tuple(command), Start.PREPARES, environment={"TMPDIR": str(shared.folder)})
     return parts
 
 
@@ -305,7 +306,7 @@ class RealTimeRun:
             ensure_interfaces(options.interfaces)
         self._on_line = on_line
         self._exits = ExitStack()
-        self.shared = SharedFiles(Path(self._exits.enter_context(_shared_folder())))
+        self.shared = SharedFiles(Path(self._exits.enter_context(shared_folder())))
         try:
             self.scenario = scenario
             self.options = options

@@ -13,9 +13,9 @@ import signal
 import subprocess
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 from types import TracebackType
 
@@ -52,12 +52,14 @@ class Part:
     command : program and arguments without `--epoch`, which the supervisor adds.
     start : when it starts.
     is_ready : true once the process is ready; None: the part says so itself with a line `ready`.
+    environment : variables that it gets besides the supervisor's.
     """
 
     name: str
     command: tuple[str, ...]
     start: Start = Start.AT_ONCE
     is_ready: Callable[[], bool] | None = None
+    environment: Mapping[str, str] = field(default_factory=dict)
 
     def command_line(self, epoch_ns: int) -> list[str]:
         """The whole command."""
@@ -133,6 +135,7 @@ class _Running:
                 stdin=subprocess.PIPE if asks else subprocess.DEVNULL,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.STDOUT,
+                env={**os.environ, **part.environment},
                 process_group=0,
             )
         except OSError as error:

@@ -6,9 +6,11 @@ In each case all processes end, and what was recorded can be read.
 from __future__ import annotations
 
 import os
+import re
 import signal
 import socket
 import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
@@ -94,6 +96,20 @@ def test_an_onboard_computer_that_is_killed(start: Callable[..., RealTimeCommand
     assert truth.column("brake_pressure_front").to_numpy()[-1] > 5.0e6
     assert any(line.startswith("Failed: obc was ended by SIGKILL") for line in command.output)
     assert command.left() == []
+
+
+def test_a_busy_core_is_named(start: Callable[..., RealTimeCommand]):
+    core = max(os.sched_getaffinity(0))
+    burner = f"import os; os.sched_setaffinity(0, {{{core}}}); print(flush=True)\nwhile True: pass"
+    with subprocess.Popen([sys.executable, "-c", burner], stdout=subprocess.PIPE) as burning:
+        assert burning.stdout is not None
+        try:
+            burning.stdout.readline()
+            command = start("--cpu", str(core), parts=("hub",))
+            line = command.wait_for_line("busy with other work")
+        finally:
+            burning.kill()
+    assert re.fullmatch(rf"raceloop: core {core}: (9\d|100)% busy with other work, cycles may come late", line)
 
 
 def test_a_station_that_hangs(start: Callable[..., RealTimeCommand]):

@@ -56,9 +56,16 @@ def measured() -> Iterator[list[Measured]]:
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP], ids=lambda number: number.name)
 @pytest.mark.parametrize("loss", LOSSES, ids=lambda loss: loss.gone)
-def test_loss_of_a_station(loss: Loss, number: signal.Signals, tmp_path: Path, measured: list[Measured]) -> None:
+def test_loss_of_a_station(
+    loss: Loss, number: signal.Signals, tmp_path: Path, measured: list[Measured], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And nothing is left of it, even of a process that could not clear up behind itself."""
+    scratch = tmp_path / "scratch"
+    scratch.mkdir()
+    monkeypatch.setenv("TMPDIR", str(scratch))
     with car(tmp_path, RealTimeOptions(placement=placement())) as it:
         measured += lose_and_get_back(it, loss, number, ALLOWANCE_US)
+    assert list(scratch.iterdir()) == []
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP], ids=lambda number: number.name)

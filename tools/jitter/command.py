@@ -20,7 +20,7 @@ from dbc.errors import RaceloopError
 from tools.exit_status import ExitStatus
 from tools.jitter.alone import measure_alone
 from tools.jitter.load import PACKAGE, start_load
-from tools.jitter.machine import BUSY_SHARE, Machine, busy_share, look_at_machine
+from tools.jitter.machine import BUSY_SHARE, WATCH_S, Machine, busy_share, look_at_machine
 from tools.jitter.measurement import Measurement
 from tools.jitter.peers import PEERS
 from tools.jitter.recording import record_stimulus
@@ -28,6 +28,7 @@ from tools.jitter.report import as_json, picture, show, write_json, write_text
 from tools.jitter.setup import Setup
 from tools.jitter.trace import trace_of
 from tools.jitter.whole_loop import measure_whole_loop
+from tools.realtime_run import shared_folder
 from tools.run import make_folder
 from tools.stop_signal import asked_to_stop_is_ctrl_c
 
@@ -38,9 +39,6 @@ _IDLE = "idle"
 
 #: How long a load runs before the measurement begins, and how much longer at most, s.
 _SETTLE_S, _LATEST_S = 1.0, 120.0
-
-#: How long the core is watched before the measurement, s.
-_WATCH_S = 0.5
 
 
 @dataclass(frozen=True)
@@ -128,9 +126,8 @@ def _measure(
     setup: Setup, load: str | None, scenario: Scenario | None, remarks: list[str], console: Console
 ) -> list[Measurement]:
     """Measure idle, and under the load when there is one."""
-    memory = Path("/dev/shm")  # a log in a file on a disk would wait for the disk
     measurements = []
-    with tempfile.TemporaryDirectory(prefix="raceloop-", dir=memory if memory.is_dir() else None) as folder:
+    with shared_folder() as folder:  # a log in a file on a disk would wait for the disk
         measure, seconds = _prepare(setup, scenario, Path(folder), console)
         for kind in [None] if load is None else [None, load]:
             condition = _IDLE if kind is None else f"{kind} load"
@@ -138,6 +135,7 @@ def _measure(
                 notes = [] if kind is not None else _watch(setup)
                 stress = None
                 if kind is not None:
+                    # On a disk, because disks are part of the load.
                     scratch = Path(beside.enter_context(tempfile.TemporaryDirectory(prefix="raceloop-")))
                     stress = start_load(kind, seconds + _LATEST_S, scratch)
                     if stress is None:
@@ -173,7 +171,7 @@ def _watch(setup: Setup) -> list[str]:
     """Whether the core has time for a measurement."""
     core = setup.options.placement.cpu
     assert core is not None
-    share = busy_share(core, _WATCH_S)
+    share = busy_share({core}, WATCH_S)
     return [f"core {core} was {share:.0%} busy with other work before the measurement"] if share > BUSY_SHARE else []
 
 

@@ -5,13 +5,18 @@ from __future__ import annotations
 import os
 import platform
 import time
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 
-from dbc.errors import RaceloopError
+import numpy as np
+from numpy.typing import NDArray
 
 #: A core with more of its time taken by others is busy.
 BUSY_SHARE = 0.5
+
+#: How long cores are watched before something is measured or started on them, s.
+WATCH_S = 0.5
 
 
 @dataclass(frozen=True)
@@ -58,49 +63,22 @@ def look_at_machine() -> Machine:
     )
 
 
-def choose_core(machine: Machine, wanted: int | None) -> int:
-    """The core to measure on: as wanted, else the last one, which has the fewest interrupts on most machines.
-
-    Raises
-    ------
-    RaceloopError
-        When the core does not exist, or this process may not use it.
-    """
-    if wanted is None:
-        return machine.cores[-1]
-    if wanted not in machine.cores:
-        allowed = ", ".join(str(core) for core in machine.cores)
-        raise RaceloopError(f"--cpu {wanted}: no core that this process may use; allowed are {allowed}")
-    return wanted
-
-
-def may_have_priority(priority: int) -> bool:
-    """True when this user's processes may run under SCHED_FIFO at this priority: tried, then undone."""
-    policy, before = os.sched_getscheduler(0), os.sched_getparam(0)
-    try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
-    except PermissionError:
-        return False
-    os.sched_setscheduler(0, policy, before)
-    return True
-
-
-def busy_share(core: int, seconds: float) -> float:
-    """Share of a stretch of time, from now on, in which a core was not idle, 0..1."""
-    before = _core_ticks(core)
+def busy_share(cores: Collection[int], seconds: float) -> float:
+    """Share of a stretch of time, from now on, in which cores were not idle, 0..1."""
+    before = _ticks(cores)
     time.sleep(seconds)
-    after = _core_ticks(core)
-    total = sum(after) - sum(before)
-    idle = sum(after[3:5]) - sum(before[3:5])  # idle, waiting for a disk
-    return 1.0 - idle / total if total > 0 else 0.0
+    taken = _ticks(cores) - before
+    total, idle = taken.sum(), taken[3:5].sum()  # idle, waiting for a disk
+    return float(1.0 - idle / total) if total > 0 else 0.0
 
 
-def _core_ticks(core: int) -> list[int]:
-    """user, nice, system, idle, iowait, irq, softirq, steal of one core; guest time is part of user."""
-    for line in _text("/proc/stat").splitlines():
-        if line.startswith(f"cpu{core} "):
-            return [int(word) for word in line.split()[1:9]]
-    return [0] * 8
+def _ticks(cores: Collection[int]) -> NDArray[np.int64]:
+    """user, nice, system, idle, iowait, irq, softirq, steal of cores together; guest time is part of user."""
+    rows = (line.split() for line in _text("/proc/stat").splitlines())
+    wanted = {f"cpu{core}" for core in cores}
+    ticks = [[int(word) for word in row[1:9]] for row in rows if row[0] in wanted]
+    total: NDArray[np.int64] = np.array(ticks or [[0] * 8], dtype=np.int64).sum(axis=0)
+    return total
 
 
 def _list(path: str) -> str:
