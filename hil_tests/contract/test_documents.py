@@ -11,6 +11,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
+from reaction_times import REACTIONS
 
 from bridge.bus import BIT_RATES
 from tools.cli import make_parser
@@ -127,3 +128,11 @@ def test_no_machine_is_named() -> None:
         if path != here and b"\0" not in (content := path.read_bytes()):
             for number, line in enumerate(content.decode().splitlines(), 1):
                 assert not machine.search(line), f"{name(path)}:{number}: {line.strip()}"
+
+
+def test_reaction_times_are_those_that_the_tests_hold_the_car_to() -> None:
+    rows = re.findall(
+        r"^\| (\S+) \| ([^|]+) \| ([\d.]+) \| [\d. ]*\| [\d. ]*\|$", (ROOT / "docs" / "realtime.md").read_text(), re.M
+    )
+    shown = {(gone, who.removesuffix(": safe stop").lower(), float(latest)) for gone, who, latest in rows}
+    assert shown == {(one.gone, one.by, one.deadline_us / 1000) for one in REACTIONS}

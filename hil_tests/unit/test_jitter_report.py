@@ -86,6 +86,28 @@ def test_worst_cycles_are_named_with_what_ran_in_them():
 
 
 @pytest.mark.parametrize(
+    ("late", "rationed"),
+    [([3, 13, 23, 33, 43], True), ([3, 13, 23, 33, 44], False), ([3, 13, 23, 33], False)],
+)
+def test_a_host_that_rations_processors_is_recognised(late: list[int], rationed: bool):
+    cycles = records(50)
+    for field in ("wake_ns", "received_ns", "ticked_ns", "sent_ns"):
+        cycles[field][late] += 3_000_000
+    lines = page(replace(measurement(), cycles=Cycles(cycle_log(cycles))))
+    told = [line for line in lines if line.startswith("  all of them are 34 ms into 100 ms: ")]
+    assert len(told) == rationed
+
+
+def test_cycles_that_the_program_makes_late_are_not_the_hosts():
+    cycles = records(50)
+    late = [3, 13, 23, 33, 43]
+    cycles["sent_ns"][late] += 3_000_000
+    cycles["cpu_ns"][late] += 3_000_000
+    lines = page(replace(measurement(), cycles=Cycles(cycle_log(cycles))))
+    assert not [line for line in lines if "rations" in line]
+
+
+@pytest.mark.parametrize(
     ("field", "cause"),
     [("run_queue_ns", "waiting for the core"), ("cpu_ns", "the program"), (None, "the timer")],
 )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -32,6 +32,12 @@ from tools.jitter.stimulus import Ecu
 
 #: Worst cycles that are named.
 WORST = 5
+
+#: Cause of a late cycle: not the program, and nothing else that had the core.
+TIMER = "the timer"
+
+#: Linux hands out a quota of processor time anew every 100 ms (CFS bandwidth control), to virtual machines too.
+_QUOTA_PERIOD_US = 100_000
 
 #: Station and message between sensors and onboard computer.
 AUTONOMY, ESTIMATE = "autonomy", "estimate_position"
@@ -238,7 +244,7 @@ class Measurement:
         for place in worst_cycles(times, WORST):
             record = log.records[place]
             parts = {
-                "the timer": float(times.lateness[place] - times.queued[place]),
+                TIMER: float(times.lateness[place] - times.queued[place]),
                 "waiting for the core": float(times.queued[place]),
                 "off the core": float(times.preempted[place]),
                 "the program": float(times.processor[place]),
@@ -248,7 +254,7 @@ class Measurement:
                     slot=int(record["slot"]),
                     time_s=(int(record["deadline_ns"]) - log.epoch_ns) / 1e9,
                     response=float(times.response[place]),
-                    timer=parts["the timer"],
+                    timer=parts[TIMER],
                     queued=parts["waiting for the core"],
                     processor=parts["the program"],
                     preempted=parts["off the core"],
@@ -264,6 +270,18 @@ class Measurement:
                 )
             )
         return cycles
+
+
+def rationed_at_ms(worst: Sequence[WorstCycle]) -> float | None:
+    """Where in every 100 ms the worst cycles lie, if all of them waited for the timer and share one place.
+
+    By chance that happens once in ten thousand measurements at 100 Hz; a host that rations the processors of a virtual
+    machine stops it at such a place.
+    """
+    places = {round(cycle.time_s * 1e6) % _QUOTA_PERIOD_US for cycle in worst}
+    if len(worst) < WORST or len(places) != 1 or any(cycle.cause != TIMER for cycle in worst):
+        return None
+    return places.pop() / 1000.0
 
 
 def stamps_of(message: str, frames: NDArray[np.void], epoch_ns: int) -> Stamps:

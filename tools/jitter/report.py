@@ -26,7 +26,7 @@ from tools.jitter.histogram import (
     text_histogram,
 )
 from tools.jitter.machine import Machine
-from tools.jitter.measurement import Measurement, Row, WorstCycle
+from tools.jitter.measurement import Measurement, Row, WorstCycle, rationed_at_ms
 
 #: Columns of the page.
 WIDTH = 80
@@ -192,8 +192,12 @@ def _counts(measurement: Measurement) -> list[str]:
     for note in measurement.notes:
         lines += textwrap.wrap(note, WIDTH, initial_indent="  ", subsequent_indent="  ")
     lines.append("  worst cycles, us from the deadline to the last frame with the kernel:")
-    for cycle in measurement.worst():
+    worst = measurement.worst()
+    for cycle in worst:
         lines += _worst_lines(cycle)
+    if (place := rationed_at_ms(worst)) is not None:
+        text = f"all of them are {place:g} ms into 100 ms: so does a host stop a machine whose processors it rations"
+        lines += textwrap.wrap(text, WIDTH, initial_indent="  ", subsequent_indent="  ")
     for name, station in measurement.stations.items():
         lateness, execution = station.lateness.figures(), station.execution.figures()
         text = (
