@@ -62,7 +62,7 @@ jitter: build ## Measure the onboard computer's cycle, idle and under load, besi
 	$(BIN)/raceloop jitter --seconds 60 --load all --out '$(OUT)/jitter'
 
 .PHONY: check
-check: lint types warnings coverage ## Format, lint, types, warnings as errors with each compiler present, all tests with the coverage gate
+check: lint types warnings coverage ## Format, lint, types, warnings as errors with each compiler present, unit tests with the coverage gate
 
 .PHONY: format
 format: build ## Format all sources in place
@@ -93,9 +93,9 @@ warnings: build ## Compile everything with warnings as errors, with gcc, clang a
 	@touch $@
 
 .PHONY: coverage
-coverage: .venv-coverage/.built ## Run the tests on instrumented firmware, those in real time left out; SSM, parameter check and codec runtime need 100 % of lines and branches
+coverage: .venv-coverage/.built ## Run the unit tests on instrumented firmware; SSM, parameter check and codec runtime need 100 % of lines and branches
 	find build/coverage -name '*.gcda' -delete
-	.venv-coverage/bin/python -m pytest -q -m 'not machine and not realtime'
+	.venv-coverage/bin/python -m pytest -q hil_tests/unit
 	$(BIN)/gcovr --root . --object-directory build/coverage --exclude-throw-branches \
 	  --filter 'firmware/obc/ssm\.c' --filter 'firmware/obc/parameters\.c' --filter 'firmware/common/codec\.c' \
 	  --txt-metric branch --print-summary --fail-under-line 100 --fail-under-branch 100 build/coverage

@@ -50,24 +50,30 @@ def test_slots_before_the_start_are_not_skipped_ones():
     assert timer.skipped == 0
 
 
+def ten_slots_ago(next_slot: int):
+    """A timer half a period after the beginning of slot 10.
+
+    The period is as long as the time since the machine's start allows, so that noise of the machine does not matter.
+    """
+    now_ns = lib.monotonic_ns()
+    period_ns = now_ns // 11
+    timer = started(now_ns - 10 * period_ns - period_ns // 2, period_ns=period_ns)
+    timer.next_slot = next_slot
+    return timer
+
+
 @pytest.mark.parametrize("lost", [1, 2, 7])
 def test_lost_slots_are_skipped_and_counted(lost: int):
-    """A caller that comes `lost` whole periods late, with room to spare so that no noise of the machine matters."""
-    period_ns = 60_000_000_000
-    now_ns = lib.monotonic_ns()
-    timer = started(now_ns - 100 * period_ns - period_ns // 2, period_ns=period_ns)
-    timer.next_slot = 100 - lost  # the newest slot that is due is 100
+    timer = ten_slots_ago(next_slot=10 - lost)
     assert lib.deadline_timer_wait(timer) == lib.DEADLINE_REACHED
-    assert (timer.slot, timer.skipped, timer.next_slot) == (100, lost, 101)
-    assert timer.wake_ns - timer.deadline_ns == pytest.approx(period_ns / 2, abs=period_ns / 4)
+    assert (timer.slot, timer.skipped, timer.next_slot) == (10, lost, 11)
+    assert timer.wake_ns - timer.deadline_ns == pytest.approx(timer.period_ns / 2, abs=timer.period_ns / 4)
 
 
 def test_a_caller_less_than_a_period_late_gets_the_slot_at_once():
-    period_ns = 60_000_000_000
-    timer = started(lib.monotonic_ns() - 100 * period_ns - period_ns // 2, period_ns=period_ns)
-    timer.next_slot = 100
+    timer = ten_slots_ago(next_slot=10)
     assert lib.deadline_timer_wait(timer) == lib.DEADLINE_REACHED
-    assert (timer.slot, timer.skipped) == (100, 0)
+    assert (timer.slot, timer.skipped) == (10, 0)
 
 
 def test_a_signal_interrupts_without_using_up_a_slot():

@@ -33,7 +33,7 @@ from dbc.states import CtState, SsmState, SysState
 pytestmark = pytest.mark.vcan
 
 RACELOOP = Path(sys.executable).with_name("raceloop")
-SLOWER = 5
+SLOWER = 3
 PRIORITY = 50
 LIMIT_S = 500.0
 """For start, drive and recording together."""

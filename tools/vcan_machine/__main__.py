@@ -24,6 +24,7 @@ NETWORK = Path(__file__).with_name("network.sh")
 
 FEW_TESTS = (
     "hil_tests/contract/test_bus_backends.py",
+    "hil_tests/vcan/test_drive.py",
     "hil_tests/vcan/test_ecus_on_vcan.py",
     "hil_tests/vcan/test_socketcan_link.py",
 )
