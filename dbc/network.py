@@ -79,8 +79,13 @@ def raw_limits(signal: Signal) -> tuple[int, int]:
     return 0, (1 << signal.length) - 1
 
 
-def load_database(path: Path) -> Database:
+def load_database(path: Path, strict: bool = True) -> Database:
     """Parse one DBC file.
+
+    Parameters
+    ----------
+    path : the file.
+    strict : whether signals that overlap or do not fit into their message are errors.
 
     Raises
     ------
@@ -89,7 +94,7 @@ def load_database(path: Path) -> Database:
     """
     try:
         # cp1252 is what Vector's tools write; cantools' own default.
-        database = cantools.database.load_file(path, database_format="dbc", encoding="cp1252", strict=True)
+        database = cantools.database.load_file(path, database_format="dbc", encoding="cp1252", strict=strict)
     except OSError as error:
         raise ConfigurationError(path, "", error.strerror or "cannot be read") from error
     except (Error, UnicodeDecodeError, ValueError, KeyError) as error:

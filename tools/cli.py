@@ -50,6 +50,8 @@ def _dispatch(options: argparse.Namespace, console: Console) -> int:
         hub(options.local, options.port)
     if options.command == "jitter":
         return _jitter(options, console)
+    if options.command == "dbw":
+        return _dbw(options, console)
     from tools.bench import bench  # noqa: PLC0415
 
     return bench(console, options.repeats, options.simulated_s)
@@ -78,6 +80,24 @@ def _run(options: argparse.Namespace, console: Console) -> int:
         1 if options.slower is None else options.slower,
     )
     return run_realtime(options.scenario, options.out, console, chosen)
+
+
+def _dbw(options: argparse.Namespace, console: Console) -> int:
+    if options.dbw_command == "encode":
+        from tools.dbw.encode import encode  # noqa: PLC0415
+
+        return encode(options.message, options.values, console)
+    if options.dbw_command == "lint":
+        from tools.dbw.lint import lint  # noqa: PLC0415
+
+        return lint(options.file, console)
+    if options.dbw_command == "diff":
+        from tools.dbw.dbc_diff import diff  # noqa: PLC0415
+
+        return diff(options.one, options.other, console)
+    from tools.dbw.decode import decode  # noqa: PLC0415
+
+    return decode(options.frame, options.bus, console)
 
 
 def _jitter(options: argparse.Namespace, console: Console) -> int:
@@ -186,6 +206,21 @@ def make_parser() -> argparse.ArgumentParser:
     jitter.add_argument(
         "--out", type=Path, metavar="DIR", help="write jitter.json, jitter.pftrace and a picture, jitter.svg"
     )
+
+    dbw = commands.add_parser("dbw", help="drive-by-wire messages as they are on the wire")
+    tasks = dbw.add_subparsers(dest="dbw_command", required=True)
+    encode = tasks.add_parser("encode", help="physical values into a frame, with raw values and a picture of the bits")
+    encode.add_argument("message", help="name, as in docs/protocol.md")
+    encode.add_argument("values", nargs="*", metavar="SIGNAL=VALUE", help="a number or a name; raw 0 when not given")
+    decode = tasks.add_parser("decode", help="a frame into physical values")
+    decode.add_argument("frame", metavar="ID#DATA", help="as can-utils write it: 57A#2D07050000000000")
+    decode.add_argument("--bus", metavar="BUS", help="CAN1, CAN3, CAN-A or CAN-S (default: wherever the identifier is)")
+
+    lint = tasks.add_parser("lint", help="what is wrong or missing in a DBC file")
+    lint.add_argument("file", type=Path, help="DBC file")
+    diff = tasks.add_parser("diff", help="how one DBC file differs from another")
+    diff.add_argument("one", type=Path, help="DBC file")
+    diff.add_argument("other", type=Path, help="DBC file")
 
     bench = commands.add_parser("bench", help="measure the loop against the plain loop a user would write")
     bench.add_argument("--repeats", type=_count, default=5, help="pairs of runs (default: 5)")

@@ -22,6 +22,7 @@ import pytest
 from perfetto.protos.perfetto.trace import perfetto_trace_pb2 as perfetto
 
 import scenarios
+from bridge.realtime.cycle_log import cycles_written
 from tools.cli import main
 from tools.jitter import cyclictest, load
 from tools.jitter.background import find_program
@@ -206,6 +207,15 @@ class Started:
         (log,) = (word for word in command if word.startswith("--cycle-log="))
         return Path(log.removeprefix("--cycle-log=")).parent
 
+    def wait_for_cycles(self) -> None:
+        """Wait until ECU and player are on their buses and cycle: from now on a measurement goes on."""
+        logs = [self.folder() / f"{name}.cycles" for name in ("obc", "player")]
+        end = time.monotonic() + BOUND_S
+        while not all(cycles_written(log) for log in logs):
+            assert self.process.poll() is None, self.process.communicate()
+            assert time.monotonic() < end, f"waited {BOUND_S} s for cycles"
+            time.sleep(0.05)
+
     def end(self) -> tuple[int, str, str]:
         """Status and words of the command, when it and all that it started have ended."""
         out, error = self.process.communicate(timeout=BOUND_S)
@@ -258,7 +268,7 @@ def test_killed_command_leaves_no_process(start: Callable[..., Started]):
 @pytest.mark.parametrize("program", ["raceloop-obc", "raceloop-hub"])
 def test_part_that_dies(start: Callable[..., Started], tmp_path: Path, program: str):
     started = start("--rate", "10", "--seconds", "300")
-    started.wait_for("raceloop-obc")
+    started.wait_for_cycles()
     os.kill(started.wait_for(program), signal.SIGKILL)
     status, out, error = started.end()
     assert (status, out) == (2, "")

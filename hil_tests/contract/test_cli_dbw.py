@@ -1,0 +1,188 @@
+"""`raceloop dbw encode` and `decode`: the right bytes, the right words, and what does not fit is refused."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cli_harness import Answer, Command, assert_one_line, command, edit
+
+from dbc.buses import DIRECTORY
+from dbc.codec import MessageCodec, database
+from dbc.network import raw_limits
+
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "dbw.md"
+
+SEED = 20221103
+
+GOLDEN = (
+    ("steering_cmd", "57A#2D07050000000000", "steering_motor_ang_cmd=-105.5 steering_motor_cmd_counter=5"),
+    ("steering_cmd", "57A#A401070000000000", "steering_motor_ang_cmd=210.0 steering_motor_cmd_counter=7"),
+    ("accelerator_cmd", "579#8D0E030000000000", "acc_pedal_cmd=37.25 acc_pedal_cmd_counter=3"),
+    ("brake_pressure_cmd", "578#BE0A060000000000", "brake_pressure_cmd=2750 brk_pressure_cmd_counter=6"),
+    ("gear_shift_cmd", "57B#0400000000000000", "desired_gear=4"),
+    ("ct_report", "57C#0001000900070500", "track_cond_ack=1 ct_state=9 ct_state_rolling_counter=7 veh_num=5"),
+    (
+        "misc_report",
+        "518#8409410604",
+        "battery_voltage=13.2 sys_state=9 mode_switch_state=1 raptor_rolling_counter=200 safety_switch_state=4",
+    ),
+    (
+        "pt_report_1",
+        "53C#C05D0105F781C348",
+        "throttle_position=37.2 current_gear=4 engine_speed_rpm=6110 vehicle_speed_kmph=180.5 engine_run_switch=1"
+        " engine_state=1 gear_shift_status=1",
+    ),
+    ("diagnostic_report", "53E#0200480000000000", "sd_system_failure=1 est4_sd_comms_loss=1 adlink_hb_lost=1"),
+    (
+        "base_to_car_summary",
+        "4B0#45216407D2040000",
+        "base_to_car_heartbeat=5 track_flag=GREEN veh_flag=NONE_ALT veh_rank=2 lap_count=7 lap_distance=1234"
+        " round_target_speed=100",
+    ),
+)
+"""Frames of the public V14 layout, encoded with another program."""
+
+
+@pytest.fixture
+def raceloop(capsys: pytest.CaptureFixture[str]) -> Command:
+    return command(capsys)
+
+
+def frame_in(out: str) -> str:
+    found = re.match(r"\w+: ([0-9A-F]+#[0-9A-F]*) on ", out)
+    assert found is not None, out
+    return found[1]
+
+
+def values_in(out: str) -> dict[str, tuple[float, int]]:
+    """Physical and raw value by signal, from the table of a page."""
+    rows = re.findall(r"^[a-zA-Z]  (\w+) +(\S+) .*?(-?\d+)  \d+\|\d+@[01][+-]", out, re.MULTILINE)
+    return {name: (float(value), int(raw)) for name, value, raw in rows}
+
+
+@pytest.mark.parametrize(("message", "frame", "values"), GOLDEN)
+def test_golden_frames(raceloop: Command, message: str, frame: str, values: str):
+    encoded = raceloop("dbw", "encode", message, *values.split())
+    assert (encoded.status, encoded.error) == (0, "")
+    assert frame_in(encoded.out) == frame
+    decoded = raceloop("dbw", "decode", frame)
+    assert decoded == encoded
+
+
+@pytest.mark.parametrize("codec", list(database), ids=lambda codec: codec.name)
+def test_every_message_as_cantools_has_it(raceloop: Command, codec: MessageCodec):
+    """Random raw values; the values that are printed give the same frame again."""
+    random = np.random.default_rng(SEED)
+    crc = database.facts(codec.name).crc
+    raw = {signal.name: int(random.integers(*raw_limits(signal), endpoint=True)) for signal in codec.definition.signals}
+    data = codec.definition.encode(raw, scaling=False, strict=False)
+    frame = f"{codec.frame_id:0{8 if codec.extended else 3}X}#{data.hex().upper()}"
+    decoded = raceloop("dbw", "decode", frame, "--bus", codec.bus.label)
+    assert decoded.status == (0 if crc is None else 1), SEED
+    assert frame_in(decoded.out) == frame
+    shown = values_in(decoded.out)
+    assert {name: number for name, (_, number) in shown.items()} == raw
+    physical = codec.definition.decode(data, decode_choices=False)
+    assert {name: value for name, (value, _) in shown.items()} == pytest.approx(physical, rel=1e-8)
+    # Ten digits are printed, which is more than a step of any signal.
+    again = raceloop("dbw", "encode", codec.name, *(f"{name}={value!r}" for name, (value, _) in shown.items()))
+    assert again.status == 0, again.error
+    assert frame_in(again.out) == frame
+
+
+def test_a_crc_is_computed_and_checked(raceloop: Command):
+    encoded = raceloop("dbw", "encode", "req_brake_pos", "contrl_pos_brk=100", "Appl_Message_Counter=3")
+    frame = frame_in(encoded.out)
+    assert raceloop("dbw", "decode", frame).status == 0
+    broken = frame.replace("#64", "#65")
+    answer = raceloop("dbw", "decode", broken)
+    assert answer.status == 1
+    right = re.search(r"the CRC is wrong; a frame with this content is (\S+)$", answer.out, re.MULTILINE)
+    assert right is not None
+    assert right[1].startswith("021#65")
+    assert raceloop("dbw", "decode", right[1]).status == 0
+    given = raceloop("dbw", "encode", "req_brake_pos", "CCIT_CRC=4660")
+    assert frame_in(given.out).endswith("3412")
+
+
+def test_what_is_odd_is_said(raceloop: Command):
+    between = raceloop("dbw", "encode", "steering_cmd", "steering_motor_ang_cmd=3.3")
+    assert between.status == 0
+    assert between.out.splitlines()[-1] == "steering_motor_ang_cmd: 3.3 is between two steps of 0.5: 3.5"
+    exact = raceloop("dbw", "encode", "steering_cmd", "steering_motor_ang_cmd=3.5")
+    assert exact.out.splitlines()[-1].startswith("   7")
+    stray = raceloop("dbw", "decode", "57A#0008000000000000")
+    assert stray.out.splitlines()[-1] == "bits of no signal are set"
+    longer = raceloop("dbw", "decode", "517#2D071100")
+    assert longer.out.splitlines()[-1] == "4 bytes, of which the message has 3"
+
+
+def test_an_identifier_that_two_buses_have_is_shown_for_both(raceloop: Command):
+    both = raceloop("dbw", "decode", "060#0000000000000000")
+    assert len(re.findall(r"^\w+: 060#0{16} on (\S+),", both.out, re.MULTILINE)) == 2
+    one = raceloop("dbw", "decode", "060#0000000000000000", "--bus", "CAN3")
+    assert re.findall(r"^\w+: 060#0{16} on (\S+),", one.out, re.MULTILINE) == ["CAN3"]
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        ("encode brake_pressure_cmd brake_pressure_cmd=8192", "allowed is 0 to 8191"),
+        ("encode steering_cmd steering_motor_ang_cmd=-512.5", "allowed is -512 to 511.5"),
+        ("encode steering_cmd steering_motor_ang_cmd=inf", "is not finite; allowed is -512 to 511.5"),
+        ("encode steering_cmd steering_motor_ang_cmd=nan", "'nan'; must be a number from -512 to 511.5"),
+        ("encode steering_cmd steering_motor_ang_cmd=left", "'left'; must be a number from -512 to 511.5"),
+        ("encode ct_report ct_state=RACING", "or UNINITIALISED, PWR_ON"),
+        ("encode steering_cmd angle=1", "the nearest is 'steering_motor_ang_cmd'"),
+        ("encode steering_cmd steering_motor_ang_cmd", "must be SIGNAL=VALUE; signals are steering_motor_ang_cmd,"),
+        ("encode gear_shift_cmd desired_gear=1 desired_gear=2", "is given twice"),
+        ("encode steering", "the nearest is 'steering_cmd'"),
+        ("decode 57A#2D", "steering_cmd has 8 data bytes, not 1"),
+        ("decode 7FF#00", "no message on any bus has the 11-bit identifier 7FF"),
+        ("decode 57A#0000000000000000 --bus CAN3", "no message on CAN3 has the 11-bit identifier 57A"),
+        ("decode 57A#0000000000000000 --bus CAN2", "allowed are CAN1, CAN3, CAN-A, CAN-S"),
+        ("decode steering", "must be like 57A#2D07050000000000"),
+    ],
+)
+def test_a_mistake_is_one_line(raceloop: Command, words: str, told: str):
+    assert_one_line(raceloop("dbw", *words.split()), told)
+
+
+def test_lint_and_diff_by_their_exit_status(raceloop: Command, tmp_path: Path):
+    sensors, other = DIRECTORY / "sensors.dbc", tmp_path / "other.dbc"
+    assert raceloop("dbw", "lint", sensors) == Answer(0, f"{sensors}: 10 messages, nothing to say\n", "")
+    broken = raceloop("dbw", "lint", DIRECTORY / "raptor.dbc")
+    assert broken.status == 1
+    assert all(line.startswith(f"{DIRECTORY / 'raptor.dbc'}: ") for line in broken.out.splitlines())
+    assert raceloop("dbw", "diff", sensors, sensors) == Answer(0, "no difference in what is on the wire\n", "")
+    edit(Path(shutil.copy(sensors, other)), "BO_ 256 gnss_a_position: 8", "BO_ 256 gnss_a_position: 7")
+    differing = raceloop("dbw", "diff", sensors, other)
+    assert differing == Answer(1, "gnss_a_position (100): length in bytes 8 is now 7\n", "")
+
+
+@pytest.mark.parametrize("content", [None, b"", b"\x00\xff\x81", b"BO_ 1 x"], ids=["none", "empty", "binary", "cut"])
+def test_a_file_that_is_no_dbc_is_one_line(raceloop: Command, tmp_path: Path, content: bytes | None):
+    path = tmp_path / "broken.dbc"
+    if content is not None:
+        path.write_bytes(content)
+    for arguments in (("lint", path), ("diff", DIRECTORY / "sensors.dbc", path)):
+        assert_one_line(raceloop("dbw", *arguments), path)
+
+
+def test_the_guide_shows_what_is_printed(raceloop: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    (tmp_path / "dbc").symlink_to(DIRECTORY)
+    mine = Path(shutil.copy(DIRECTORY / "raptor.dbc", tmp_path / "mine.dbc"))
+    edit(mine, "steering_motor_ang_cmd : 0|11@1- (0.5,0)", "steering_motor_ang_cmd : 0|11@1- (0.25,0)")
+    edit(mine, "BO_ 1403 gear_shift_cmd", "BO_ 1409 gear_shift_cmd")
+    edit(mine, 'BA_ "GenMsgCycleTime" BO_ 1403', 'BA_ "GenMsgCycleTime" BO_ 1409')
+    monkeypatch.chdir(tmp_path)
+    shown = re.findall(r"^```sh\n(raceloop dbw [^\n]*)\n```\n\n```text\n(.*?)^```", PAGE.read_text(), re.M | re.S)
+    assert {line.split()[2] for line, _ in shown} == {"encode", "decode", "lint", "diff"}
+    for line, out in shown:
+        answer = raceloop(*shlex.split(line)[1:])
+        assert answer.out + answer.error == out, line

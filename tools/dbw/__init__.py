@@ -1,0 +1,1 @@
+"""`raceloop dbw`: drive-by-wire messages as they are on the wire, for people."""
