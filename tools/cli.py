@@ -87,6 +87,10 @@ def _dbw(options: argparse.Namespace, console: Console) -> int:
         from tools.dbw.encode import encode  # noqa: PLC0415
 
         return encode(options.message, options.values, console)
+    if options.dbw_command == "check":
+        from tools.dbw.check import Outputs, check  # noqa: PLC0415
+
+        return check(options.log, options.bus, Outputs(options.json, options.junit), console)
     if options.dbw_command == "lint":
         from tools.dbw.lint import lint  # noqa: PLC0415
 
@@ -216,6 +220,11 @@ def make_parser() -> argparse.ArgumentParser:
     decode.add_argument("frame", metavar="ID#DATA", help="as can-utils write it: 57A#2D07050000000000")
     decode.add_argument("--bus", metavar="BUS", help="CAN1, CAN3, CAN-A or CAN-S (default: wherever the identifier is)")
 
+    check = tasks.add_parser("check", help="everything in a recording that is not what the DBC files say")
+    check.add_argument("log", type=Path, help="candump (.log), BLF, ASC, TRC or MF4, each also .gz")
+    check.add_argument("--bus", metavar="BUS", help="of all frames: CAN1, CAN3, CAN-A or CAN-S (default: by channel)")
+    check.add_argument("--json", type=Path, metavar="FILE", help="write findings and times between frames")
+    check.add_argument("--junit", type=Path, metavar="FILE", help="write a test case per message as JUnit XML")
     lint = tasks.add_parser("lint", help="what is wrong or missing in a DBC file")
     lint.add_argument("file", type=Path, help="DBC file")
     diff = tasks.add_parser("diff", help="how one DBC file differs from another")

@@ -180,9 +180,11 @@ def test_the_guide_shows_what_is_printed(raceloop: Command, tmp_path: Path, monk
     edit(mine, "steering_motor_ang_cmd : 0|11@1- (0.5,0)", "steering_motor_ang_cmd : 0|11@1- (0.25,0)")
     edit(mine, "BO_ 1403 gear_shift_cmd", "BO_ 1409 gear_shift_cmd")
     edit(mine, 'BA_ "GenMsgCycleTime" BO_ 1403', 'BA_ "GenMsgCycleTime" BO_ 1409')
+    (log,) = re.findall(r"^`drive.log`[^\n]*\n\n```text\n(.*?)^```", PAGE.read_text(), re.M | re.S)
+    (tmp_path / "drive.log").write_text(log)
     monkeypatch.chdir(tmp_path)
     shown = re.findall(r"^```sh\n(raceloop dbw [^\n]*)\n```\n\n```text\n(.*?)^```", PAGE.read_text(), re.M | re.S)
-    assert {line.split()[2] for line, _ in shown} == {"encode", "decode", "lint", "diff"}
+    assert {line.split()[2] for line, _ in shown} == {"encode", "decode", "lint", "diff", "check"}
     for line, out in shown:
         answer = raceloop(*shlex.split(line)[1:])
         assert answer.out + answer.error == out, line

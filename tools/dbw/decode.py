@@ -7,6 +7,7 @@ from rich.console import Console
 from dbc.buses import Bus
 from dbc.codec import MessageCodec, database
 from dbc.errors import CodecError
+from tools.dbw.bus_option import bus_of
 from tools.dbw.frame_text import TextFrame, parse_frame
 from tools.dbw.page import finished, page, remarks_on
 from tools.exit_status import ExitStatus
@@ -45,10 +46,7 @@ def decode(text: str, bus: str | None, console: Console) -> int:
 
 def _messages(frame: TextFrame, bus: str | None) -> list[MessageCodec]:
     """The messages that a frame can be."""
-    labels = {one.label: one for one in Bus}
-    if bus is not None and bus not in labels:
-        raise CodecError(f"--bus {bus}: no such bus; allowed are {', '.join(labels)}")
-    buses = list(Bus) if bus is None else [labels[bus]]
+    buses = list(Bus) if bus is None else [bus_of(bus)]
     found = [codec for one in buses if (codec := database.find(one, frame.frame_id, frame.extended)) is not None]
     if not found:
         near = sorted(

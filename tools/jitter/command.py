@@ -24,10 +24,11 @@ from tools.jitter.machine import BUSY_SHARE, WATCH_S, Machine, busy_share, look_
 from tools.jitter.measurement import Measurement
 from tools.jitter.peers import PEERS
 from tools.jitter.recording import record_stimulus
-from tools.jitter.report import as_json, picture, show, write_json, write_text
+from tools.jitter.report import as_json, picture, show
 from tools.jitter.setup import Setup
 from tools.jitter.trace import trace_of
 from tools.jitter.whole_loop import measure_whole_loop
+from tools.output_files import write_json, write_text
 from tools.realtime_run import shared_folder
 from tools.run import make_folder
 from tools.stop_signal import asked_to_stop_is_ctrl_c

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import json
 import textwrap
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from rich.console import Console
 from rich.markup import escape
 
-from dbc.errors import RaceloopError
 from tools.jitter.figures import Figures
 from tools.jitter.histogram import (
     FIRST_DECADE,
@@ -98,28 +95,6 @@ def as_json(settings: Mapping[str, Any], machine: Machine, measurements: Iterabl
         "histogram_edges_us": [round(float(edge), 4) for edge in edges],
         "runs": [_run_as_json(measurement) for measurement in measurements],
     }
-
-
-def write_text(path: Path, text: str) -> None:
-    """Write a file; under a temporary name first, so that a reader never sees half of it.
-
-    Raises
-    ------
-    RaceloopError
-        When it cannot be written.
-    """
-    partial = path.with_name(path.name + ".partial")
-    try:
-        partial.write_text(text, encoding="utf-8")
-        partial.replace(path)
-    except OSError as error:
-        partial.unlink(missing_ok=True)
-        raise RaceloopError(f"{path}: cannot be written: {error.strerror}") from error
-
-
-def write_json(path: Path, content: Mapping[str, Any]) -> None:
-    """Write a JSON file, as `write_text`."""
-    write_text(path, json.dumps(content, indent=2, allow_nan=False) + "\n")
 
 
 def _table(measurements: Sequence[Measurement]) -> list[str]:

@@ -1,0 +1,119 @@
+"""`raceloop dbw check`: everything in a recording that is not what the DBC files say."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+from rich.console import Console
+
+from dbc.buses import Bus
+from dbc.codec import database
+from tools.dbw.bus_option import bus_of
+from tools.dbw.conformance import Conformance, Finding, Place, Rule
+from tools.dbw.log_source import read_chunks
+from tools.exit_status import ExitStatus
+from tools.output_files import write_json, write_text
+
+
+@dataclass(frozen=True)
+class Outputs:
+    """Files to write besides the page; None for none."""
+
+    json: Path | None = None
+    junit: Path | None = None
+
+
+def check(path: Path, bus: str | None, outputs: Outputs, console: Console) -> int:
+    """Check a recording and print what was found; returns the exit status, a miss when there is something.
+
+    Raises
+    ------
+    RaceloopError
+        When the recording cannot be read at all, the bus does not exist, or a file cannot be written.
+    """
+    chosen = None if bus is None else bus_of(bus)
+    conformance = Conformance()
+
+    def broken(frame: int, text: str) -> None:
+        conformance.note(Place(Rule.LOG, Bus.CAN1 if chosen is None else chosen, ""), 1, frame, 0, text)
+
+    for chunk in read_chunks(path, chosen, broken):
+        conformance.update(chunk)
+    conformance.finish()
+    findings = sorted(conformance.findings.values(), key=lambda finding: (finding.place.bus, finding.first_frame))
+    if outputs.json is not None:
+        write_json(outputs.json, as_json(path, conformance, findings))
+    if outputs.junit is not None:
+        write_text(outputs.junit, as_junit(path, conformance, findings))
+    _show(path, conformance, findings, console)
+    return ExitStatus.MISSED if findings else ExitStatus.DONE
+
+
+def _show(path: Path, conformance: Conformance, findings: list[Finding], console: Console) -> None:
+    """A line per finding, so that other programs can search them."""
+    for finding in findings:
+        console.print(f"{_subject(finding)}: {_words(finding)}", markup=False)
+    counts = f"{conformance.frames} frames of {len(conformance.timings)} messages"
+    console.print(f"{path}: {counts}, {len(findings)} finding{'' if len(findings) == 1 else 's'}", markup=False)
+
+
+def _subject(finding: Finding) -> str:
+    place = finding.place
+    return f"{place.bus.label} {place.message}{'.' if place.signal else ''}{place.signal}".rstrip()
+
+
+def _words(finding: Finding) -> str:
+    times = f"{finding.count} time{'' if finding.count == 1 else 's'}"
+    where = f"first in frame {finding.first_frame} at {finding.first_us * 1e-6:.6f} s"
+    return f"{finding.place.rule.value}, {times}, {where}: {finding.text}"
+
+
+def as_json(path: Path, conformance: Conformance, findings: list[Finding]) -> dict[str, Any]:
+    """Findings, and the times between the frames of every message."""
+    return {
+        "source": str(path),
+        "frames": conformance.frames,
+        "findings": [
+            {
+                "rule": finding.place.rule.value,
+                "bus": finding.place.bus.label,
+                "message": finding.place.message,
+                "signal": finding.place.signal,
+                "frames": finding.count,
+                "first_frame": finding.first_frame,
+                "first_us": finding.first_us,
+                "text": finding.text,
+            }
+            for finding in findings
+        ],
+        "messages": {
+            name: {
+                "bus": database.message(name).bus.label,
+                "frames": timing.count + 1,
+                "cycle_us": database.message(name).cycle_us,
+                "mean_us": timing.mean,
+                "jitter_us": timing.jitter,
+                "shortest_us": timing.shortest,
+                "longest_us": timing.longest,
+            }
+            for name, timing in conformance.timings.items()
+        },
+    }
+
+
+def as_junit(path: Path, conformance: Conformance, findings: list[Finding]) -> str:
+    """A test case per message that was seen or has findings; JUnit XML."""
+    by_message: dict[str, list[Finding]] = {name: [] for name in conformance.timings}
+    for finding in findings:
+        by_message.setdefault(finding.place.message or finding.place.bus.label, []).append(finding)
+    failed = sum(bool(found) for found in by_message.values())
+    suite = ElementTree.Element("testsuite", name=str(path), tests=str(len(by_message)), failures=str(failed))
+    for name, found in by_message.items():
+        case = ElementTree.SubElement(suite, "testcase", classname="dbw", name=name)
+        if found:
+            lines = [f"{_subject(one)}: {_words(one)}" for one in found]
+            ElementTree.SubElement(case, "failure", message=lines[0]).text = "\n".join(lines)
+    return ElementTree.tostring(suite, encoding="unicode", xml_declaration=True) + "\n"

@@ -1,0 +1,178 @@
+"""Recordings as a stream of frames, whatever wrote them: candump, BLF, ASC, TRC, MF4."""
+
+from __future__ import annotations
+
+import gzip
+import io
+import re
+import struct
+import zlib
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from itertools import islice
+from pathlib import Path
+from typing import IO, BinaryIO, TextIO, cast
+
+import can
+import numpy as np
+from can.io.blf import BLFParseError, BLFReader
+from numpy.typing import NDArray
+
+from bridge.bus import CHANNELS
+from bridge.tap import frame_of
+from dbc.errors import ConfigurationError
+from dbc.frames import FRAME_DTYPE, FRAME_STRUCT, Bus, Flag, Station
+
+#: Frames in one piece.
+CHUNK = 1 << 15
+
+SUFFIXES = (".asc", ".blf", ".log", ".mf4", ".trc")
+"""Of what can be read; each may be followed by .gz."""
+
+_NAMES = {
+    **{name: bus for bus, name in CHANNELS.items()},
+    **{bus.label: bus for bus in Bus},
+    **{f"vcan{int(bus)}": bus for bus in Bus},
+    **{f"can{int(bus)}": bus for bus in Bus},
+    **{str(int(bus)): bus for bus in Bus},
+}
+"""What loggers call the buses: their names, or interfaces and channels numbered in their order."""
+
+_CANDUMP = re.compile(r"\((\d+)\.(\d{6})\) +(\S+) +([0-9A-Fa-f]+)#(R\d?|(?:[0-9A-Fa-f]{2}){0,8})(?: [TR])?\s*")
+_PACKED = ".gz"
+_ERROR_FRAME = 0x2000_0000
+_STANDARD_DIGITS = 3
+
+#: What python-can's readers raise on content that is not theirs.
+_BROKEN = (ValueError, IndexError, KeyError, AttributeError, BLFParseError, struct.error, zlib.error, EOFError)
+
+OnBroken = Callable[[int, str], None]
+"""Takes the number of frames before, and what cannot be read there."""
+
+
+def read_chunks(path: Path, bus: Bus | None, on_broken: OnBroken) -> Iterator[NDArray[np.void]]:
+    """Read a recording piece by piece, so that memory does not grow with it.
+
+    Parameters
+    ----------
+    path : with one of `SUFFIXES`.
+    bus : on which all frames are, whatever their channel is called; None: by the channel.
+    on_broken : called for each line of a candump log that is none, and once where another kind of log breaks off; what
+        can be read is read.
+
+    Yields
+    ------
+    array of `FRAME_DTYPE`
+        At most `CHUNK` frames, times in microseconds as recorded.
+
+    Raises
+    ------
+    ConfigurationError
+        When the file cannot be opened, holds no frame at all, or has a channel that is no bus of the car.
+    """
+    packed, kind = path.suffix.lower() == _PACKED, _kind(path)
+    if kind not in SUFFIXES:
+        raise ConfigurationError(path, "", f"unknown kind of log; allowed are {', '.join(SUFFIXES)}, each also .gz")
+
+    def bus_of_channel(channel: object) -> Bus:
+        chosen = _NAMES.get(str(channel)) if bus is None else bus
+        if chosen is None:
+            allowed = f"{', '.join(CHANNELS.values())}, vcan0 to vcan3, 0 to 3; or say --bus"
+            raise ConfigurationError(path, f"channel {channel}", f"unknown; allowed are {allowed}")
+        return chosen
+
+    read = _candump if kind == ".log" else _through_python_can
+    frames = read(path, packed, bus_of_channel, on_broken)
+    empty = True
+    try:
+        while chunk := b"".join(islice(frames, CHUNK)):
+            empty = False
+            yield np.frombuffer(chunk, dtype=FRAME_DTYPE)
+    except OSError as error:
+        raise ConfigurationError(path, "", error.strerror or f"cannot be read: {error}") from error
+    if empty:
+        raise ConfigurationError(path, "", "holds no frame")
+
+
+def _kind(path: Path) -> str:
+    """Suffix of a recording, without that of gzip."""
+    return Path(path.stem if path.suffix.lower() == _PACKED else path.name).suffix.lower()
+
+
+def _candump(path: Path, packed: bool, bus_of: Callable[[object], Bus], on_broken: OnBroken) -> Iterator[bytes]:
+    """Frames of 24 bytes out of the log format of candump (-L, -l)."""
+    count, buses = 0, dict[str, Bus]()
+
+    def broken_off(reason: str) -> None:
+        on_broken(count, reason)
+
+    for number, line in _lines(path, packed, broken_off):
+        parts = _CANDUMP.fullmatch(line)
+        if parts is None:
+            if line.strip():
+                on_broken(count, f"line {number} is no frame: {line.strip()[:40]}")
+            continue
+        seconds, micros, channel, identifier, content = parts.groups()
+        if (bus := buses.get(channel)) is None:
+            bus = buses[channel] = bus_of(channel)
+        frame_id, flags = int(identifier, 16), 0
+        if frame_id & _ERROR_FRAME:
+            flags = Flag.ERROR
+            frame_id &= _ERROR_FRAME - 1
+        elif len(identifier) > _STANDARD_DIGITS:
+            flags = Flag.EXTENDED
+        if content.startswith("R"):
+            flags |= Flag.REMOTE
+            data, length = b"", int(content[1:] or 0)
+        else:
+            data = bytes.fromhex(content)
+            length = len(data)
+        count += 1
+        time_us = int(seconds) * 1_000_000 + int(micros)
+        yield FRAME_STRUCT.pack(time_us, frame_id, bus, length, flags, Station.NONE, data)
+
+
+def _lines(path: Path, packed: bool, on_broken: Callable[[str], None]) -> Iterator[tuple[int, str]]:
+    """Numbered lines; what is no ASCII is no frame either, and shown as such."""
+    try:
+        with _opened(path, packed) as binary, io.TextIOWrapper(binary, encoding="ascii", errors="replace") as lines:
+            yield from enumerate(lines, 1)
+    except (EOFError, zlib.error, gzip.BadGzipFile) as error:
+        on_broken(f"breaks off: {error}")
+
+
+def _opened(path: Path, packed: bool) -> IO[bytes]:
+    return cast("IO[bytes]", gzip.open(path) if packed else path.open("rb"))
+
+
+def _through_python_can(
+    path: Path, packed: bool, bus_of: Callable[[object], Bus], on_broken: OnBroken
+) -> Iterator[bytes]:
+    """Frames of 24 bytes out of what python-can has a reader for."""
+    count = 0
+    try:
+        # Opened here: a reader that does not like what it reads leaves the file open.
+        with _opened(path, packed) as binary:
+            size = binary.seek(0, io.SEEK_END)  # now, because some readers close what they have read
+            binary.seek(0)
+            reader = _READERS[_kind(path)](binary)
+            for message in reader:
+                yield frame_of(message, bus_of(message.channel), max(round(message.timestamp * 1e6), 0))
+                count += 1
+            if isinstance(reader, BLFReader) and reader.file_size > size:
+                on_broken(count, f"breaks off: {size} of {reader.file_size} bytes are there")
+    except NotImplementedError as error:  # python-can's MF4 reader without its package
+        raise ConfigurationError(path, "", "needs a package for this kind of log: pip install asammdf") from error
+    except _BROKEN as error:
+        on_broken(count, f"breaks off: {' '.join(str(error).split()) or type(error).__name__}")
+
+
+def _text(binary: IO[bytes]) -> IO[str]:
+    return io.TextIOWrapper(binary, encoding="utf-8", errors="replace")
+
+
+_READERS: Mapping[str, Callable[[IO[bytes]], Iterable[can.Message]]] = {
+    ".asc": lambda binary: can.ASCReader(cast("TextIO", _text(binary))),
+    ".blf": lambda binary: BLFReader(cast("BinaryIO", binary)),
+    ".mf4": lambda binary: can.MF4Reader(cast("BinaryIO", binary)),
+    ".trc": lambda binary: can.TRCReader(cast("TextIO", _text(binary))),
+}
