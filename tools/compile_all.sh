@@ -13,7 +13,11 @@ for compiler in gcc clang; do
     echo "$compiler: clean"
 done
 
-if command -v arm-none-eabi-gcc >/dev/null; then
+if ! command -v arm-none-eabi-gcc >/dev/null; then
+    echo "arm-none-eabi-gcc: not present, not compiled"
+elif ! arm-none-eabi-gcc -E -include string.h -x c /dev/null >/dev/null 2>&1; then
+    echo "arm-none-eabi-gcc: has no C library (Debian: libnewlib-arm-none-eabi), not compiled"
+else
     generated=$(ls -d build/warnings-gcc build/warnings-clang 2>/dev/null | head -n 1)
     objects=build/cortex-m
     rm -rf "$objects" && mkdir -p "$objects"
@@ -25,6 +29,4 @@ if command -v arm-none-eabi-gcc >/dev/null; then
     done
     echo "arm-none-eabi-gcc: clean"
     arm-none-eabi-size -t "$objects"/*.o | tail -n 1
-else
-    echo "arm-none-eabi-gcc: not present, not compiled"
 fi
