@@ -194,6 +194,33 @@ class MessageCodec:
             raise CodecError(f"{self.name} has {self.length} data bytes, not {len(data)}")
         return self._unpack(self._values_buffer)
 
+    def columns(self, frames: NDArray[np.void]) -> NDArray[np.float64]:
+        """Decode frames of this message into columns; whether they are of it is not looked at.
+
+        Parameters
+        ----------
+        frames : array of :data:`dbc.frames.FRAME_DTYPE`, shape (n,).
+
+        Returns
+        -------
+        array
+            Physical values, shape (number of signals, n).
+        """
+        frames = np.ascontiguousarray(frames, dtype=FRAME_DTYPE)
+        return self._columns(frames, np.arange(len(frames), dtype=np.uint32))
+
+    def _columns(self, frames: NDArray[np.void], rows: NDArray[np.uint32]) -> NDArray[np.float64]:
+        """Decode those of some frames that are in the rows; both arrays contiguous."""
+        values = np.empty((len(self.signals), len(rows)))
+        lib.codec_values_decode_columns(
+            self.index,
+            ffi.from_buffer("can_frame[]", frames),
+            ffi.from_buffer("uint32_t[]", rows),
+            len(rows),
+            ffi.from_buffer("double[]", values, require_writable=True),
+        )
+        return values
+
     def finish(self, frame: Buffer, counter: int) -> bytes:
         """Write message counter and CRC into a frame of this message, as its sender does before sending.
 
@@ -331,20 +358,12 @@ class Codec:
         index = self.identify(frames)
         order = np.argsort(index, kind="stable").astype(np.uint32)
         first = np.searchsorted(index[order], np.arange(len(self) + 1))
-        buffer = ffi.from_buffer("can_frame[]", frames)
         columns: dict[str, dict[str, tuple[NDArray[np.uint64], NDArray[np.float64]]]] = {}
         for message, start, stop in zip(self, first[:-1], first[1:], strict=True):
             if start == stop:
                 continue
             rows = order[start:stop]
-            values = np.empty((len(message.signals), len(rows)))
-            lib.codec_values_decode_columns(
-                message.index,
-                buffer,
-                ffi.from_buffer("uint32_t[]", rows),
-                len(rows),
-                ffi.from_buffer("double[]", values, require_writable=True),
-            )
+            values = message._columns(frames, rows)
             times = frames["time_us"][rows]
             columns[message.name] = {
                 signal: (times, column) for signal, column in zip(message.signals, values, strict=True)

@@ -18,7 +18,8 @@ from dbc.frames import Bus
 from tools.jitter.figures import Distribution
 from tools.jitter.machine import look_at_machine
 from tools.jitter.measurement import Cycles, Measurement
-from tools.jitter.report import WIDTH, as_json, picture, show, targets, write_json
+from tools.jitter.report import WIDTH, as_json, picture, show, targets
+from tools.output_files import write_json
 
 
 def page(*measurements: Measurement) -> list[str]:

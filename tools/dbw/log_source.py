@@ -8,7 +8,6 @@ import re
 import struct
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from itertools import islice
 from pathlib import Path
 from typing import IO, BinaryIO, TextIO, cast
 
@@ -17,13 +16,14 @@ import numpy as np
 from can.io.blf import BLFParseError, BLFReader
 from numpy.typing import NDArray
 
+from bridge._native import ffi, lib
 from bridge.bus import CHANNELS
 from bridge.tap import frame_of
 from dbc.errors import ConfigurationError
-from dbc.frames import FRAME_DTYPE, FRAME_STRUCT, Bus, Flag, Station
+from dbc.frames import FRAME_DTYPE, FRAME_SIZE, FRAME_STRUCT, Bus, Flag, Station
 
 #: Frames in one piece.
-CHUNK = 1 << 15
+CHUNK = 1 << 16
 
 SUFFIXES = (".asc", ".blf", ".log", ".mf4", ".trc")
 """Of what can be read; each may be followed by .gz."""
@@ -37,10 +37,16 @@ _NAMES = {
 }
 """What loggers call the buses: their names, or interfaces and channels numbered in their order."""
 
-_CANDUMP = re.compile(r"\((\d+)\.(\d{6})\) +(\S+) +([0-9A-Fa-f]+)#(R\d?|(?:[0-9A-Fa-f]{2}){0,8})(?: [TR])?\s*")
+_CANDUMP = re.compile(
+    r"\((\d+)\.(\d{6})\) +(\S+) +([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})#(R\d?|(?:[0-9A-Fa-f]{2}){0,8})(?: [TR])?\s*"
+)
 _PACKED = ".gz"
 _ERROR_FRAME = 0x2000_0000
 _STANDARD_DIGITS = 3
+_STANDARD_MAX, _EXTENDED_MAX = 0x7FF, 0x1FFF_FFFF
+
+#: Bytes of a candump log read at once.
+_BLOCK = 1 << 20
 
 #: What python-can's readers raise on content that is not theirs.
 _BROKEN = (ValueError, IndexError, KeyError, AttributeError, BLFParseError, struct.error, zlib.error, EOFError)
@@ -62,7 +68,7 @@ def read_chunks(path: Path, bus: Bus | None, on_broken: OnBroken) -> Iterator[ND
     Yields
     ------
     array of `FRAME_DTYPE`
-        At most `CHUNK` frames, times in microseconds as recorded.
+        At most twice `CHUNK` frames, times in microseconds as recorded.
 
     Raises
     ------
@@ -81,12 +87,11 @@ def read_chunks(path: Path, bus: Bus | None, on_broken: OnBroken) -> Iterator[ND
         return chosen
 
     read = _candump if kind == ".log" else _through_python_can
-    frames = read(path, packed, bus_of_channel, on_broken)
     empty = True
     try:
-        while chunk := b"".join(islice(frames, CHUNK)):
+        for frames in read(path, packed, bus_of_channel, on_broken):
             empty = False
-            yield np.frombuffer(chunk, dtype=FRAME_DTYPE)
+            yield np.frombuffer(frames, dtype=FRAME_DTYPE)
     except OSError as error:
         raise ConfigurationError(path, "", error.strerror or f"cannot be read: {error}") from error
     if empty:
@@ -98,72 +103,114 @@ def _kind(path: Path) -> str:
     return Path(path.stem if path.suffix.lower() == _PACKED else path.name).suffix.lower()
 
 
+def candump_line(line: str, bus_of: Callable[[str], Bus]) -> bytes | None:
+    """A frame of 24 bytes out of a line of candump's log format (-L, -l); None when it holds none.
+
+    Parameters
+    ----------
+    line : with or without its end.
+    bus_of : gives the bus of a channel.
+    """
+    parts = _CANDUMP.fullmatch(line)
+    if parts is None:
+        return None
+    seconds, micros, channel, identifier, content = parts.groups()
+    frame_id, flags = int(identifier, 16), 0
+    if len(identifier) == _STANDARD_DIGITS:
+        largest = _STANDARD_MAX
+    elif frame_id & _ERROR_FRAME:
+        flags, frame_id, largest = int(Flag.ERROR), frame_id & ~_ERROR_FRAME, _EXTENDED_MAX
+    else:
+        flags, largest = int(Flag.EXTENDED), _EXTENDED_MAX
+    if frame_id > largest:
+        return None
+    if content.startswith("R"):
+        flags |= Flag.REMOTE
+        data, length = b"", int(content[1:] or 0)
+    else:
+        data = bytes.fromhex(content)
+        length = len(data)
+    time_us = int(seconds) * 1_000_000 + int(micros)
+    return FRAME_STRUCT.pack(time_us, frame_id, bus_of(channel), length, flags, Station.NONE, data)
+
+
 def _candump(path: Path, packed: bool, bus_of: Callable[[object], Bus], on_broken: OnBroken) -> Iterator[bytes]:
-    """Frames of 24 bytes out of the log format of candump (-L, -l)."""
-    count, buses = 0, dict[str, Bus]()
+    """Frames out of the log format of candump: the usual lines are read in C, the others by `candump_line`."""
+    known: dict[str, Bus] = {}
+    room, used = ffi.new("can_frame[]", CHUNK), ffi.new("uint32_t *")
+    count = number = begin = 0
+    text, chunk = b"", bytearray()
+
+    def learn(channel: str) -> Bus:
+        return known.setdefault(channel, bus_of(channel))
 
     def broken_off(reason: str) -> None:
         on_broken(count, reason)
 
-    for number, line in _lines(path, packed, broken_off):
-        parts = _CANDUMP.fullmatch(line)
-        if parts is None:
-            if line.strip():
+    for block in _blocks(path, packed, broken_off):
+        text, begin = text[begin:] + block, 0
+        start = ffi.from_buffer("char[]", text)
+        while begin < len(text):
+            channels = [(name.encode(), bus) for name, bus in known.items() if len(name) < lib.CANDUMP_NAME_SIZE]
+            got = lib.candump_read(start + begin, len(text) - begin, channels, len(channels), room, CHUNK, used)
+            count, number, begin = count + got, number + got, begin + used[0]
+            chunk += ffi.buffer(room, got * FRAME_SIZE)
+            if len(chunk) >= CHUNK * FRAME_SIZE:
+                yield bytes(chunk)
+                chunk.clear()
+            end = text.find(b"\n", begin)
+            if end < 0:
+                break
+            line, number, begin = text[begin:end].decode("ascii", "replace"), number + 1, end + 1
+            frame = candump_line(line, learn)
+            if frame is not None:
+                count += 1
+                chunk += frame
+            elif line.strip():
                 on_broken(count, f"line {number} is no frame: {line.strip()[:40]}")
-            continue
-        seconds, micros, channel, identifier, content = parts.groups()
-        if (bus := buses.get(channel)) is None:
-            bus = buses[channel] = bus_of(channel)
-        frame_id, flags = int(identifier, 16), 0
-        if frame_id & _ERROR_FRAME:
-            flags = Flag.ERROR
-            frame_id &= _ERROR_FRAME - 1
-        elif len(identifier) > _STANDARD_DIGITS:
-            flags = Flag.EXTENDED
-        if content.startswith("R"):
-            flags |= Flag.REMOTE
-            data, length = b"", int(content[1:] or 0)
-        else:
-            data = bytes.fromhex(content)
-            length = len(data)
-        count += 1
-        time_us = int(seconds) * 1_000_000 + int(micros)
-        yield FRAME_STRUCT.pack(time_us, frame_id, bus, length, flags, Station.NONE, data)
+    if chunk:
+        yield bytes(chunk)
 
 
-def _lines(path: Path, packed: bool, on_broken: Callable[[str], None]) -> Iterator[tuple[int, str]]:
-    """Numbered lines; what is no ASCII is no frame either, and shown as such."""
+def _blocks(path: Path, packed: bool, on_broken: Callable[[str], None]) -> Iterator[bytes]:
+    """A file piece by piece, the last of which ends with a line end."""
     try:
-        with _opened(path, packed) as binary, io.TextIOWrapper(binary, encoding="ascii", errors="replace") as lines:
-            yield from enumerate(lines, 1)
+        with _opened(path, packed) as binary:
+            while block := binary.read1(_BLOCK):  # read would keep what comes before a break to itself
+                yield block
     except (EOFError, zlib.error, gzip.BadGzipFile) as error:
         on_broken(f"breaks off: {error}")
+    yield b"\n"
 
 
-def _opened(path: Path, packed: bool) -> IO[bytes]:
-    return cast("IO[bytes]", gzip.open(path) if packed else path.open("rb"))
+def _opened(path: Path, packed: bool) -> gzip.GzipFile | io.BufferedReader:
+    return gzip.open(path) if packed else path.open("rb")
 
 
 def _through_python_can(
     path: Path, packed: bool, bus_of: Callable[[object], Bus], on_broken: OnBroken
 ) -> Iterator[bytes]:
-    """Frames of 24 bytes out of what python-can has a reader for."""
+    """Frames out of what python-can has a reader for."""
     count = 0
+    chunk = bytearray()
     try:
         # Opened here: a reader that does not like what it reads leaves the file open.
         with _opened(path, packed) as binary:
-            size = binary.seek(0, io.SEEK_END)  # now, because some readers close what they have read
-            binary.seek(0)
-            reader = _READERS[_kind(path)](binary)
+            reader = _READERS[_kind(path)](cast("IO[bytes]", binary))
             for message in reader:
-                yield frame_of(message, bus_of(message.channel), max(round(message.timestamp * 1e6), 0))
+                chunk += frame_of(message, bus_of(message.channel), max(round(message.timestamp * 1e6), 0))
                 count += 1
-            if isinstance(reader, BLFReader) and reader.file_size > size:
+                if count % CHUNK == 0:
+                    yield bytes(chunk)
+                    chunk.clear()
+            if isinstance(reader, BLFReader) and not packed and reader.file_size > (size := path.stat().st_size):
                 on_broken(count, f"breaks off: {size} of {reader.file_size} bytes are there")
     except NotImplementedError as error:  # python-can's MF4 reader without its package
         raise ConfigurationError(path, "", "needs a package for this kind of log: pip install asammdf") from error
     except _BROKEN as error:
         on_broken(count, f"breaks off: {' '.join(str(error).split()) or type(error).__name__}")
+    if chunk:
+        yield bytes(chunk)
 
 
 def _text(binary: IO[bytes]) -> IO[str]:
