@@ -148,7 +148,9 @@ def test_what_can_be_read_of_a_broken_recording_is_checked(
     assert answer.status == 1
     assert answer.error == ""
     lines = answer.out.splitlines()
-    assert len([line for line in lines if line.startswith("CAN1: log, 1 time") and told in line]) == 1, answer.out
+    assert len([line for line in lines if line.startswith("recording: unreadable, 1 time") and told in line]) == 1, (
+        answer.out
+    )
     assert int(lines[-1].split()[1]) > 90
 
 

@@ -151,7 +151,7 @@ def clock(frames: Frames) -> tuple[Frames, Place, int]:
     row = rows_of(frames, REQUEST)[40]
     after = np.flatnonzero((frames["bus"] == Bus.CAN3) & (np.arange(len(frames)) >= row))
     frames["time_us"][after] -= 30_000
-    return frames, Place(Rule.CLOCK, Bus.CAN3, ""), row
+    return frames, Place(Rule.CLOCK, Bus.CAN3), row
 
 
 def silent(frames: Frames) -> tuple[Frames, Place, int]:

@@ -9,7 +9,6 @@ from xml.etree import ElementTree
 
 from rich.console import Console
 
-from dbc.buses import Bus
 from dbc.codec import database
 from tools.dbw.bus_option import bus_of
 from tools.dbw.conformance import Conformance, Finding, Place, Rule
@@ -38,12 +37,12 @@ def check(path: Path, bus: str | None, outputs: Outputs, console: Console) -> in
     conformance = Conformance()
 
     def broken(frame: int, text: str) -> None:
-        conformance.note(Place(Rule.LOG, Bus.CAN1 if chosen is None else chosen, ""), 1, frame, 0, text)
+        conformance.note(Place(Rule.BROKEN), 1, frame, 0, text)
 
     for chunk in read_chunks(path, chosen, broken):
         conformance.update(chunk)
     conformance.finish()
-    findings = sorted(conformance.findings.values(), key=lambda finding: (finding.place.bus, finding.first_frame))
+    findings = sorted(conformance.findings.values(), key=lambda finding: finding.first_frame)
     if outputs.json is not None:
         write_json(outputs.json, as_json(path, conformance, findings))
     if outputs.junit is not None:
@@ -55,14 +54,9 @@ def check(path: Path, bus: str | None, outputs: Outputs, console: Console) -> in
 def _show(path: Path, conformance: Conformance, findings: list[Finding], console: Console) -> None:
     """A line per finding, so that other programs can search them."""
     for finding in findings:
-        console.print(f"{_subject(finding)}: {_words(finding)}", markup=False)
+        console.print(f"{finding.place.subject}: {_words(finding)}", markup=False)
     counts = f"{conformance.frames} frames of {len(conformance.timings)} messages"
     console.print(f"{path}: {counts}, {len(findings)} finding{'' if len(findings) == 1 else 's'}", markup=False)
-
-
-def _subject(finding: Finding) -> str:
-    place = finding.place
-    return f"{place.bus.label} {place.message}{'.' if place.signal else ''}{place.signal}".rstrip()
 
 
 def _words(finding: Finding) -> str:
@@ -79,7 +73,7 @@ def as_json(path: Path, conformance: Conformance, findings: list[Finding]) -> di
         "findings": [
             {
                 "rule": finding.place.rule.value,
-                "bus": finding.place.bus.label,
+                "bus": None if finding.place.bus is None else finding.place.bus.label,
                 "message": finding.place.message,
                 "signal": finding.place.signal,
                 "frames": finding.count,
@@ -108,12 +102,12 @@ def as_junit(path: Path, conformance: Conformance, findings: list[Finding]) -> s
     """A test case per message that was seen or has findings; JUnit XML."""
     by_message: dict[str, list[Finding]] = {name: [] for name in conformance.timings}
     for finding in findings:
-        by_message.setdefault(finding.place.message or finding.place.bus.label, []).append(finding)
+        by_message.setdefault(finding.place.message or finding.place.subject, []).append(finding)
     failed = sum(bool(found) for found in by_message.values())
     suite = ElementTree.Element("testsuite", name=str(path), tests=str(len(by_message)), failures=str(failed))
     for name, found in by_message.items():
         case = ElementTree.SubElement(suite, "testcase", classname="dbw", name=name)
         if found:
-            lines = [f"{_subject(one)}: {_words(one)}" for one in found]
+            lines = [f"{one.place.subject}: {_words(one)}" for one in found]
             ElementTree.SubElement(case, "failure", message=lines[0]).text = "\n".join(lines)
     return ElementTree.tostring(suite, encoding="unicode", xml_declaration=True) + "\n"

@@ -33,7 +33,7 @@ class Rule(StrEnum):
     CYCLE = "cycle time"
     TIMEOUT = "time-out"
     CLOCK = "clock"
-    LOG = "log"
+    BROKEN = "unreadable"
 
 
 class Place(NamedTuple):
@@ -42,15 +42,21 @@ class Place(NamedTuple):
     Attributes
     ----------
     rule : that is broken.
-    bus : of the frame.
+    bus : of the frame; None for the recording as a whole.
     message : name, or identifier in hexadecimal digits when nothing is known of it; empty for a bus as a whole.
     signal : empty for the message as a whole.
     """
 
     rule: Rule
-    bus: Bus
-    message: str
+    bus: Bus | None = None
+    message: str = ""
     signal: str = ""
+
+    @property
+    def subject(self) -> str:
+        """Bus, message and signal in words."""
+        bus = "recording" if self.bus is None else self.bus.label
+        return f"{bus} {self.message}{'.' if self.signal else ''}{self.signal}".rstrip()
 
 
 @dataclass
@@ -202,7 +208,7 @@ class Conformance:
             if back.size:
                 first = int(back[0])
                 text = f"goes back by {(before[first] - times[first]) / 1000:.3f} ms"
-                self._note(Place(Rule.CLOCK, bus, ""), back, numbers[mine], times, text)
+                self._note(Place(Rule.CLOCK, bus), back, numbers[mine], times, text)
 
     def _check_acceptance(self, frames: NDArray[np.void], numbers: NDArray[np.int64], index: NDArray[np.int32]) -> None:
         refused = np.flatnonzero(index < 0)

@@ -86,16 +86,23 @@ def read_chunks(path: Path, bus: Bus | None, on_broken: OnBroken) -> Iterator[ND
             raise ConfigurationError(path, f"channel {channel}", f"unknown; allowed are {allowed}")
         return chosen
 
+    first_reason = ""
+
+    def broken(frame: int, text: str) -> None:
+        nonlocal first_reason
+        first_reason = first_reason or f"; {text}"
+        on_broken(frame, text)
+
     read = _candump if kind == ".log" else _through_python_can
     empty = True
     try:
-        for frames in read(path, packed, bus_of_channel, on_broken):
+        for frames in read(path, packed, bus_of_channel, broken):
             empty = False
             yield np.frombuffer(frames, dtype=FRAME_DTYPE)
     except OSError as error:
         raise ConfigurationError(path, "", error.strerror or f"cannot be read: {error}") from error
     if empty:
-        raise ConfigurationError(path, "", "holds no frame")
+        raise ConfigurationError(path, "", f"holds no frame{first_reason}")
 
 
 def _kind(path: Path) -> str:
