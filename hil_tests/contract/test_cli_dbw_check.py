@@ -162,6 +162,8 @@ def test_what_can_be_read_of_a_broken_recording_is_checked(
         ("drive.blf", b"", "holds no frame"),
         ("drive.blf", b"LOGG" + bytes(200), "holds no frame"),
         ("drive.asc", b"\xff" * 100, "holds no frame"),
+        ("drive.trc", b"\x00\x1b[31m\xff\n" * 3, "holds no frame; "),
+        ("drive.log", b"\x00\x1b[31m\xff\n" * 3, "holds no frame; line 1 is no frame: ??[31m"),
         ("drive.csv.bak", b"", "unknown kind of log; allowed are .asc, .blf, .log, .mf4, .trc"),
         ("drive", b"", "unknown kind of log"),
         ("drive.log", b"(1.000000) can7 57A#00\n", "channel can7: unknown; allowed are CAN1, CAN3, CANA, CANS, vcan0"),

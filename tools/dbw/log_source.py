@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import gzip
 import io
+import logging
 import re
 import struct
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, BinaryIO, TextIO, cast
 
@@ -90,8 +92,9 @@ def read_chunks(path: Path, bus: Bus | None, on_broken: OnBroken) -> Iterator[ND
 
     def broken(frame: int, text: str) -> None:
         nonlocal first_reason
-        first_reason = first_reason or f"; {text}"
-        on_broken(frame, text)
+        shown = "".join(character if character.isprintable() else "?" for character in text)
+        first_reason = first_reason or f"; {shown}"
+        on_broken(frame, shown)
 
     read = _candump if kind == ".log" else _through_python_can
     empty = True
@@ -202,7 +205,7 @@ def _through_python_can(
     chunk = bytearray()
     try:
         # Opened here: a reader that does not like what it reads leaves the file open.
-        with _opened(path, packed) as binary:
+        with _complaints(lambda text: on_broken(count, text)), _opened(path, packed) as binary:
             reader = _READERS[_kind(path)](cast("IO[bytes]", binary))
             for message in reader:
                 chunk += frame_of(message, bus_of(message.channel), max(round(message.timestamp * 1e6), 0))
@@ -218,6 +221,24 @@ def _through_python_can(
         on_broken(count, f"breaks off: {' '.join(str(error).split()) or type(error).__name__}")
     if chunk:
         yield bytes(chunk)
+
+
+@contextmanager
+def _complaints(take: Callable[[str], None]) -> Iterator[None]:
+    """Take what python-can's readers log of lines that they skip, instead of having it on standard error."""
+
+    class Handler(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            take(" ".join(record.getMessage().split())[:80])
+
+    handler, logger = Handler(logging.WARNING), logging.getLogger("can")
+    before, logger.propagate = logger.propagate, False
+    logger.addHandler(handler)
+    try:
+        yield
+    finally:
+        logger.removeHandler(handler)
+        logger.propagate = before
 
 
 def _text(binary: IO[bytes]) -> IO[str]:

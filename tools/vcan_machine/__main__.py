@@ -85,7 +85,7 @@ def make_parser() -> argparse.ArgumentParser:
         choices=(HERE, *GUESTS),
         help="own: this machine's; stock, rt: Debian's, under QEMU (default: own if it has vcan, else stock and rt)",
     )
-    parser.add_argument("--timeout", type=int, default=900, metavar="S", help="seconds per kernel (default: 900)")
+    parser.add_argument("--timeout", type=int, default=1800, metavar="S", help="seconds per kernel (default: 1800)")
     parser.add_argument("command", nargs="*", help="run this instead of the tests (put -- before it)")
     return parser
 
