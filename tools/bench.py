@@ -19,6 +19,7 @@ from bridge.bench import Bench
 from bridge.interfaces import Autonomy, Road
 from bridge.scenario import Condition, Scenario, load_scenario
 from bridge.surroundings import TICK_US
+from tools.check_bench import bench_check
 from tools.plain_loop import PlainLoop
 from tools.run import DEFAULT_SCENARIO, build_bench, make_autonomy
 
@@ -110,7 +111,7 @@ def _clock(clocks: list[_ClockedAutonomy], scenario: Scenario, road: Road) -> Au
 
 
 def bench(console: Console, repeats: int, simulated_s: float) -> int:
-    """Print the table; returns 0 when the targets are met, else 1."""
+    """Print the tables; returns 0 when the targets are met, else 1."""
     scenario = load_scenario(DEFAULT_SCENARIO)
     measure(scenario, min(1.0, simulated_s))  # warm up: imports, caches, page faults
     pairs = [measure(scenario, simulated_s) for _ in range(repeats)]
@@ -147,4 +148,5 @@ def bench(console: Console, repeats: int, simulated_s: float) -> int:
             f"{name}: min {min(values):.1f}, median {median:.1f}, max {max(values):.1f}"
             f" (target {target:g}: {'met' if median >= target else 'missed'})"
         )
+    met &= bench_check(scenario, repeats, simulated_s, console)
     return 0 if met else 1
