@@ -5,17 +5,19 @@ Frames come in pieces; what a check keeps does not grow with their number.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import NamedTuple
 
 import numpy as np
+from cantools.database.can import Signal
 from numpy.typing import NDArray
 
 from bridge._native import lib
 from dbc.codec import MessageCodec, database
 from dbc.frames import FRAME_DTYPE, FRAME_SIZE, Bus, Flag
+from tools.dbw.sequences import Sequence, sequences
 
 
 class Rule(StrEnum):
@@ -30,6 +32,7 @@ class Rule(StrEnum):
     STUCK = "counter stuck"
     JUMP = "counter jump"
     RANGE = "range"
+    SEQUENCE = "sequence"
     CYCLE = "cycle time"
     TIMEOUT = "time-out"
     CLOCK = "clock"
@@ -149,6 +152,51 @@ _STATUS_RULES = {
 }
 
 
+@dataclass(frozen=True)
+class _Limits:
+    """Declared range of a signal; `row` is that of the signal in decoded columns."""
+
+    row: int
+    name: str
+    low: float
+    high: float
+    slack: float
+
+
+@dataclass(frozen=True)
+class _Plan:
+    """What is checked in the frames of one message.
+
+    Attributes
+    ----------
+    counter, crc : signals, if there are any.
+    limits : of signals with a declared range.
+    sequences : by row in decoded columns: name of the signal and order of its values.
+    """
+
+    counter: Signal | None
+    crc: Signal | None
+    limits: tuple[_Limits, ...]
+    sequences: Mapping[int, tuple[str, Sequence]]
+
+    @classmethod
+    def of(cls, codec: MessageCodec, every_sequence: Mapping[tuple[str, str], Sequence]) -> _Plan:
+        """The plan for a message."""
+        facts = database.facts(codec.name)
+        limits, ordered = [], {}
+        for row, signal in enumerate(codec.definition.signals):
+            # Counter and CRC have rules of their own; public files declare ranges for them that no sender keeps to.
+            declared = signal.minimum is not None or signal.maximum is not None
+            if declared and signal not in (facts.counter, facts.crc):
+                low = -np.inf if signal.minimum is None else float(signal.minimum)
+                high = np.inf if signal.maximum is None else float(signal.maximum)
+                # What a decimal scale loses in binary is no offence.
+                limits.append(_Limits(row, signal.name, low, high, 1e-6 * abs(float(signal.scale))))
+            if (sequence := every_sequence.get((codec.name, signal.name))) is not None:
+                ordered[row] = (signal.name, sequence)
+        return cls(facts.counter, facts.crc, tuple(limits), ordered)
+
+
 class Conformance:
     """Checks of everything that one frame, or the frames of one message, can tell.
 
@@ -165,6 +213,8 @@ class Conformance:
         self.findings: dict[Place, Finding] = {}
         self._counters: dict[str, _Counter] = {}
         self._newest_us: dict[Bus, int] = {}
+        every_sequence = sequences()
+        self._plans = {codec.name: _Plan.of(codec, every_sequence) for codec in database}
 
     def update(self, frames: NDArray[np.void]) -> None:
         """Take in frames, array of `FRAME_DTYPE`."""
@@ -233,16 +283,18 @@ class Conformance:
         if longer.size:
             text = f"{frames['dlc'][longer[0]]} data bytes; the message has {codec.length}"
             self._note(Place(Rule.LONG, codec.bus, codec.name), longer, numbers, times, text)
-        facts = database.facts(codec.name)
-        valid = np.ones(len(frames), dtype=bool)
-        if facts.crc is not None:
-            valid = self._check_crc(codec, frames, numbers, times)
-        if facts.counter is not None:
-            words = np.ascontiguousarray(frames["data"]).view("<u8")[:, 0]
-            mask = np.uint64((1 << facts.counter.length) - 1)
-            values = (words >> np.uint64(facts.counter.start) & mask).astype(np.int64)[valid]
-            self._check_counter(codec, facts.counter.name, values, numbers[valid], times[valid])
-        self._check_ranges(codec, frames[valid], numbers[valid], times[valid])
+        plan = self._plans[codec.name]
+        if plan.crc is not None:
+            valid = self._check_crc(codec, plan.crc, frames, numbers, times)
+            frames, numbers, times = frames[valid], numbers[valid], times[valid]
+            if not len(frames):
+                return
+        if plan.counter is not None:
+            self._check_counter(codec, plan.counter, frames, numbers, times)
+        if plan.limits or plan.sequences:
+            columns = codec.columns(frames)
+            self._check_ranges(codec, plan.limits, columns, numbers, times)
+            self._check_sequences(codec, plan.sequences, columns, numbers, times)
 
     def _check_intervals(self, codec: MessageCodec, numbers: NDArray[np.int64], times: NDArray[np.int64]) -> None:
         timing = self.timings.get(codec.name)
@@ -262,32 +314,35 @@ class Conformance:
                 self._note(Place(Rule.TIMEOUT, codec.bus, codec.name), late, numbers, times, text)
 
     def _check_crc(
-        self, codec: MessageCodec, frames: NDArray[np.void], numbers: NDArray[np.int64], times: NDArray[np.int64]
+        self,
+        codec: MessageCodec,
+        crc: Signal,
+        frames: NDArray[np.void],
+        numbers: NDArray[np.int64],
+        times: NDArray[np.int64],
     ) -> NDArray[np.bool_]:
         """Whether each frame's CRC is right."""
-        facts = database.facts(codec.name)
-        assert facts.crc is not None
-        first = facts.crc.start // 8
+        first = crc.start // 8
         data = frames["data"]
         stored = data[:, first].astype(np.uint16) | data[:, first + 1].astype(np.uint16) << 8
         right = crc16(data[:, :first], codec.frame_id)
         wrong = np.flatnonzero(stored != right)
         if wrong.size:
             text = f"{stored[wrong[0]]:04X}; must be {right[wrong[0]]:04X}"
-            self._note(Place(Rule.CRC, codec.bus, codec.name, facts.crc.name), wrong, numbers, times, text)
+            self._note(Place(Rule.CRC, codec.bus, codec.name, crc.name), wrong, numbers, times, text)
         valid: NDArray[np.bool_] = stored == right
         return valid
 
     def _check_counter(
         self,
         codec: MessageCodec,
-        signal: str,
-        values: NDArray[np.int64],
+        signal: Signal,
+        frames: NDArray[np.void],
         numbers: NDArray[np.int64],
         times: NDArray[np.int64],
     ) -> None:
-        if not values.size:
-            return
+        words = np.ascontiguousarray(frames["data"]).view("<u8")[:, 0]
+        values = (words >> np.uint64(signal.start) & np.uint64((1 << signal.length) - 1)).astype(np.int64)
         state = self._counters.setdefault(codec.name, _Counter())
         before = np.concatenate([[values[0] - 1 if state.last is None else state.last], values[:-1]])
         state.last = int(values[-1])
@@ -296,7 +351,7 @@ class Conformance:
         jump = np.flatnonzero((values != before) & (values != before + 1))
         if stuck.size:
             text = f"stays at {values[stuck[0]]}"
-            self._note(Place(Rule.STUCK, codec.bus, codec.name, signal), stuck, numbers, times, text)
+            self._note(Place(Rule.STUCK, codec.bus, codec.name, signal.name), stuck, numbers, times, text)
         to_0 = jump[values[jump] == 0]
         for value in np.unique(before[to_0]):
             rows = to_0[before[to_0] == value]
@@ -305,27 +360,36 @@ class Conformance:
         others = jump[values[jump] != 0]
         if others.size:
             text = f"{before[others[0]]} is followed by {values[others[0]]}"
-            self._note(Place(Rule.JUMP, codec.bus, codec.name, signal), others, numbers, times, text)
+            self._note(Place(Rule.JUMP, codec.bus, codec.name, signal.name), others, numbers, times, text)
 
     def _check_ranges(
-        self, codec: MessageCodec, frames: NDArray[np.void], numbers: NDArray[np.int64], times: NDArray[np.int64]
+        self,
+        codec: MessageCodec,
+        limits: tuple[_Limits, ...],
+        columns: NDArray[np.float64],
+        numbers: NDArray[np.int64],
+        times: NDArray[np.int64],
     ) -> None:
-        # Counter and CRC have rules of their own; public files declare ranges for them that no sender keeps to.
-        facts = database.facts(codec.name)
-        signals = [signal for signal in codec.definition.signals if signal not in (facts.counter, facts.crc)]
-        limited = [signal for signal in signals if signal.minimum is not None or signal.maximum is not None]
-        if not limited or not len(frames):
-            return
-        columns = codec.columns(frames)
-        for signal in limited:
-            values = columns[codec.signals.index(signal.name)]
-            low = -np.inf if signal.minimum is None else float(signal.minimum)
-            high = np.inf if signal.maximum is None else float(signal.maximum)
-            slack = 1e-6 * abs(signal.scale)  # what a decimal scale loses in binary
-            outside = np.flatnonzero((values < low - slack) | (values > high + slack))
+        for one in limits:
+            values = columns[one.row]
+            outside = np.flatnonzero((values < one.low - one.slack) | (values > one.high + one.slack))
             if outside.size:
-                text = f"{values[outside[0]]:g}; declared is {low:g} to {high:g}"
-                self._note(Place(Rule.RANGE, codec.bus, codec.name, signal.name), outside, numbers, times, text)
+                text = f"{values[outside[0]]:g}; declared is {one.low:g} to {one.high:g}"
+                self._note(Place(Rule.RANGE, codec.bus, codec.name, one.name), outside, numbers, times, text)
+
+    def _check_sequences(
+        self,
+        codec: MessageCodec,
+        ordered: Mapping[int, tuple[str, Sequence]],
+        columns: NDArray[np.float64],
+        numbers: NDArray[np.int64],
+        times: NDArray[np.int64],
+    ) -> None:
+        for row, (name, sequence) in ordered.items():
+            for place, text in sequence.update(columns[row], times):
+                self.note(
+                    Place(Rule.SEQUENCE, codec.bus, codec.name, name), 1, int(numbers[place]), int(times[place]), text
+                )
 
     def _judge_cycle(self, codec: MessageCodec, timing: Timing) -> None:
         expected = codec.cycle_us / database.facts(codec.name).frames_per_cycle
@@ -337,7 +401,7 @@ class Conformance:
 
     def _judge_jumps_to_0(self, codec: MessageCodec, counter: _Counter) -> None:
         """A jump to 0 from the highest value that the sender ever reaches is where it wraps, if that is a usual one."""
-        signal = database.facts(codec.name).counter
+        signal = self._plans[codec.name].counter
         assert signal is not None
         for value, (count, frame, time_us) in counter.jumps_to_0.items():
             if value == counter.highest and value in (*_WRAPS, (1 << signal.length) - 1):
