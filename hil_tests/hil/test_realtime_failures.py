@@ -10,7 +10,6 @@ import re
 import signal
 import socket
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
@@ -20,6 +19,7 @@ import can
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from burner import burning
 from realtime_harness import BOUND_S, RealTimeCommand, until
 
 from bridge.bus import CHANNELS
@@ -100,15 +100,8 @@ def test_an_onboard_computer_that_is_killed(start: Callable[..., RealTimeCommand
 
 def test_a_busy_core_is_named(start: Callable[..., RealTimeCommand]):
     core = max(os.sched_getaffinity(0))
-    burner = f"import os; os.sched_setaffinity(0, {{{core}}}); print(flush=True)\nwhile True: pass"
-    with subprocess.Popen([sys.executable, "-c", burner], stdout=subprocess.PIPE) as burning:
-        assert burning.stdout is not None
-        try:
-            burning.stdout.readline()
-            command = start("--cpu", str(core), parts=("hub",))
-            line = command.wait_for_line("busy with other work")
-        finally:
-            burning.kill()
+    with burning(core):
+        line = start("--cpu", str(core), parts=("hub",)).wait_for_line("busy with other work")
     assert re.fullmatch(rf"raceloop: core {core}: (9\d|100)% busy with other work, cycles may come late", line)
 
 

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import os
-import subprocess
-import sys
 import time
 from dataclasses import replace
 
 import pytest
+from burner import burning
 
 from bridge.realtime.placement import Placement
 from dbc.errors import RaceloopError
@@ -26,14 +25,8 @@ def test_machine_is_this_one():
 
 def test_a_core_that_others_use_is_busy():
     core = max(os.sched_getaffinity(0))
-    burner = f"import os; os.sched_setaffinity(0, {{{core}}}); print(flush=True)\nwhile True: pass"
-    with subprocess.Popen([sys.executable, "-c", burner], stdout=subprocess.PIPE) as burning:
-        assert burning.stdout is not None
-        try:
-            burning.stdout.readline()
-            assert busy_share({core}, 0.5) > 0.9
-        finally:
-            burning.kill()
+    with burning(core):
+        assert busy_share({core}, 0.5) > 0.9
 
 
 def test_busy_share_is_a_share():

@@ -90,9 +90,12 @@ class Timing:
     count : intervals.
     total, squares : their sum, and that of their squares.
     shortest, longest : of them.
+    first_frame, first_us : number in the recording, and time, of the first frame.
     last_us : time of the newest frame.
     """
 
+    first_frame: int = 0
+    first_us: int = 0
     count: int = 0
     total: float = 0.0
     squares: float = 0.0
@@ -299,7 +302,7 @@ class Conformance:
     def _check_intervals(self, codec: MessageCodec, numbers: NDArray[np.int64], times: NDArray[np.int64]) -> None:
         timing = self.timings.get(codec.name)
         if timing is None:
-            timing = self.timings[codec.name] = Timing(last_us=int(times[0]))
+            timing = self.timings[codec.name] = Timing(int(numbers[0]), int(times[0]), last_us=int(times[0]))
             times, numbers = times[1:], numbers[1:]
         if not times.size:
             return
@@ -397,7 +400,8 @@ class Conformance:
             return
         if abs(timing.mean - expected) > _CYCLE_TOLERANCE * expected:
             text = f"{timing.mean / 1000:.2f} ms on average; must be {expected / 1000:g} ms"
-            self.note(Place(Rule.CYCLE, codec.bus, codec.name), timing.count, 0, 0, text)
+            place = Place(Rule.CYCLE, codec.bus, codec.name)
+            self.note(place, timing.count, timing.first_frame, timing.first_us, text)
 
     def _judge_jumps_to_0(self, codec: MessageCodec, counter: _Counter) -> None:
         """A jump to 0 from the highest value that the sender ever reaches is where it wraps, if that is a usual one."""

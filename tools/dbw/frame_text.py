@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from dbc.errors import CodecError
 
 _DATA_MAX = 8
-_STANDARD_MAX, _EXTENDED_MAX = 0x7FF, 0x1FFF_FFFF
+STANDARD_MAX, EXTENDED_MAX = 0x7FF, 0x1FFF_FFFF
 _SHAPE = "must be like 57A#2D07050000000000: three digits (or eight, of 29 bits), #, up to 8 bytes"
 
 
@@ -44,7 +44,7 @@ def parse_frame(text: str) -> TextFrame:
     if parts is None or len(parts[1]) not in (3, 8):
         raise CodecError(f"{text}: {_SHAPE}")
     extended = len(parts[1]) == 8
-    frame_id, largest = int(parts[1], 16), _EXTENDED_MAX if extended else _STANDARD_MAX
+    frame_id, largest = int(parts[1], 16), EXTENDED_MAX if extended else STANDARD_MAX
     if frame_id > largest:
         raise CodecError(f"{text}: identifier {parts[1]}; at most {largest:X} with {len(parts[1])} digits")
     if parts[2].startswith(("R", "r")):

@@ -23,6 +23,7 @@ from bridge.bus import CHANNELS
 from bridge.tap import frame_of
 from dbc.errors import ConfigurationError
 from dbc.frames import FRAME_DTYPE, FRAME_SIZE, FRAME_STRUCT, Bus, Flag, Station
+from tools.dbw.frame_text import EXTENDED_MAX, STANDARD_MAX
 
 #: Frames in one piece.
 CHUNK = 1 << 16
@@ -45,7 +46,6 @@ _CANDUMP = re.compile(
 _PACKED = ".gz"
 _ERROR_FRAME = 0x2000_0000
 _STANDARD_DIGITS = 3
-_STANDARD_MAX, _EXTENDED_MAX = 0x7FF, 0x1FFF_FFFF
 
 #: Bytes of a candump log read at once.
 _BLOCK = 1 << 20
@@ -127,11 +127,11 @@ def candump_line(line: str, bus_of: Callable[[str], Bus]) -> bytes | None:
     seconds, micros, channel, identifier, content = parts.groups()
     frame_id, flags = int(identifier, 16), 0
     if len(identifier) == _STANDARD_DIGITS:
-        largest = _STANDARD_MAX
+        largest = STANDARD_MAX
     elif frame_id & _ERROR_FRAME:
-        flags, frame_id, largest = int(Flag.ERROR), frame_id & ~_ERROR_FRAME, _EXTENDED_MAX
+        flags, frame_id, largest = int(Flag.ERROR), frame_id & ~_ERROR_FRAME, EXTENDED_MAX
     else:
-        flags, largest = int(Flag.EXTENDED), _EXTENDED_MAX
+        flags, largest = int(Flag.EXTENDED), EXTENDED_MAX
     if frame_id > largest:
         return None
     if content.startswith("R"):

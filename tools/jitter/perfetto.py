@@ -11,7 +11,7 @@ from itertools import count
 from pathlib import Path
 from struct import Struct
 
-from dbc.errors import RaceloopError
+from tools.output_files import write_bytes
 
 #: A value beside an event.
 Value = int | float | str
@@ -102,13 +102,7 @@ class Trace:
         RaceloopError
             When it cannot be written.
         """
-        partial = path.with_name(path.name + ".partial")
-        try:
-            partial.write_bytes(self._packets)
-            partial.replace(path)
-        except OSError as error:
-            partial.unlink(missing_ok=True)
-            raise RaceloopError(f"{path}: cannot be written: {error.strerror}") from error
+        write_bytes(path, self.to_bytes())
 
     def _descriptor(self, content: bytes) -> int:
         uuid = next(self._uuids)
