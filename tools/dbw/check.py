@@ -9,7 +9,6 @@ from xml.etree import ElementTree
 
 from rich.console import Console
 
-from dbc.codec import database
 from tools.dbw.bus_option import bus_of
 from tools.dbw.conformance import Conformance, Finding, Place, Rule
 from tools.dbw.log_source import read_chunks
@@ -85,9 +84,9 @@ def as_json(path: Path, conformance: Conformance, findings: list[Finding]) -> di
         ],
         "messages": {
             name: {
-                "bus": database.message(name).bus.label,
+                "bus": conformance.database.message(name).bus.label,
                 "frames": timing.count + 1,
-                "cycle_us": database.message(name).cycle_us,
+                "cycle_us": conformance.database.message(name).cycle_us,
                 "mean_us": timing.mean,
                 "jitter_us": timing.jitter,
                 "shortest_us": timing.shortest,

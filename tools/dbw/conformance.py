@@ -15,8 +15,10 @@ from cantools.database.can import Signal
 from numpy.typing import NDArray
 
 from bridge._native import lib
-from dbc.codec import MessageCodec, database
+from dbc.codec import Codec, MessageCodec
+from dbc.codec import database as car
 from dbc.frames import FRAME_DTYPE, FRAME_SIZE, Bus, Flag
+from dbc.network import MessageFacts
 from tools.dbw.sequences import Sequence, sequences
 
 
@@ -183,9 +185,8 @@ class _Plan:
     sequences: Mapping[int, tuple[str, Sequence]]
 
     @classmethod
-    def of(cls, codec: MessageCodec, every_sequence: Mapping[tuple[str, str], Sequence]) -> _Plan:
+    def of(cls, codec: MessageCodec, facts: MessageFacts, every_sequence: Mapping[tuple[str, str], Sequence]) -> _Plan:
         """The plan for a message."""
-        facts = database.facts(codec.name)
         limits, ordered = [], {}
         for row, signal in enumerate(codec.definition.signals):
             # Counter and CRC have rules of their own; public files declare ranges for them that no sender keeps to.
@@ -203,42 +204,48 @@ class _Plan:
 class Conformance:
     """Checks of everything that one frame, or the frames of one message, can tell.
 
+    Parameters
+    ----------
+    database : the messages that are allowed.
+
     Attributes
     ----------
+    database : as above.
     frames : seen so far.
     timings : by message, of those that were seen.
     findings : so far, by place; complete after `finish`.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, database: Codec = car) -> None:
+        self.database = database
         self.frames = 0
         self.timings: dict[str, Timing] = {}
         self.findings: dict[Place, Finding] = {}
         self._counters: dict[str, _Counter] = {}
         self._newest_us: dict[Bus, int] = {}
         every_sequence = sequences()
-        self._plans = {codec.name: _Plan.of(codec, every_sequence) for codec in database}
+        self._plans = {codec.name: _Plan.of(codec, database.facts(codec.name), every_sequence) for codec in database}
 
     def update(self, frames: NDArray[np.void]) -> None:
         """Take in frames, array of `FRAME_DTYPE`."""
         numbers = np.arange(self.frames, self.frames + len(frames))
         self.frames += len(frames)
         self._check_clock(frames, numbers)
-        index = database.identify(frames)
+        index = self.database.identify(frames)
         self._check_acceptance(frames, numbers, index)
         order = np.argsort(index, kind="stable")
-        bounds = np.searchsorted(index[order], np.arange(len(database) + 1))
+        bounds = np.searchsorted(index[order], np.arange(len(self.database) + 1))
         numbers = numbers[order]
         # As words, which numpy moves several times as fast as records.
         words = np.ascontiguousarray(frames).view(np.uint64).reshape(-1, FRAME_SIZE // 8)
         frames = words[order].view(FRAME_DTYPE)[:, 0]
-        for codec, begin, end in zip(database, bounds[:-1], bounds[1:], strict=True):
+        for codec, begin, end in zip(self.database, bounds[:-1], bounds[1:], strict=True):
             if begin < end:
                 self._check_message(codec, frames[begin:end], numbers[begin:end])
 
     def finish(self) -> None:
         """Judge what only the whole recording tells."""
-        for codec in database:
+        for codec in self.database:
             if (timing := self.timings.get(codec.name)) is not None:
                 self._judge_cycle(codec, timing)
             if (counter := self._counters.get(codec.name)) is not None:
@@ -270,7 +277,7 @@ class Conformance:
             rows = refused[(keys == key).all(axis=1)]
             status, bus, frame_id = (int(part) for part in key)
             extended = bool(frames["flags"][rows[0]] & Flag.EXTENDED)
-            codec = database.find(bus, frame_id, extended)
+            codec = self.database.find(bus, frame_id, extended)
             rule = _STATUS_RULES[status]
             name = codec.name if codec is not None and rule is not Rule.ERROR else f"{frame_id:X}"
             text = {
@@ -395,7 +402,7 @@ class Conformance:
                 )
 
     def _judge_cycle(self, codec: MessageCodec, timing: Timing) -> None:
-        expected = codec.cycle_us / database.facts(codec.name).frames_per_cycle
+        expected = codec.cycle_us / self.database.facts(codec.name).frames_per_cycle
         if not expected or timing.count < _CYCLE_SAMPLES:
             return
         if abs(timing.mean - expected) > _CYCLE_TOLERANCE * expected:
