@@ -1,5 +1,6 @@
 #include "can_wire.h"
 
+#include <stddef.h>
 #include <string.h>
 
 enum {
@@ -9,6 +10,7 @@ enum {
     CRC_POLYNOMIAL = 0x4599,
     STUFF_RUN = 5, /* equal bits after which the sender inserts the opposite one */
     HEADER_BYTES_MAX = 5,
+    STUFF_COUNT_BITS = 4, /* of FD: three and a parity */
 };
 
 /* The stuffed part of a frame up to the data, right-aligned in bytes: leading zeros do not change the CRC, and so
@@ -125,6 +127,78 @@ uint32_t can_wire_bits(const can_wire *self, const can_frame *frame, uint32_t *s
     send_bits(&stuffing, crc, 7);
     *stuff_bits = stuffing.inserted;
     return form.bits + CRC_BITS + stuffing.inserted + TRAILER_BITS;
+}
+
+/* Fixed stuff bits stand before the stuff count and behind every fourth bit of it and of the CRC. */
+static uint32_t fd_crc_field(uint32_t data_bytes, uint32_t *fixed_stuff_bits)
+{
+    const uint32_t bits = STUFF_COUNT_BITS + (data_bytes <= 16U ? 17U : 21U);
+    *fixed_stuff_bits = (bits + 3U) / 4U;
+    return bits + *fixed_stuff_bits;
+}
+
+static uint32_t fd_data_bytes(uint32_t length, uint32_t *code)
+{
+    static const uint8_t STEPS[] = {12, 16, 20, 24, 32, 48, 64};
+    *code = length;
+    if (length <= CAN_DATA_MAX) {
+        return length;
+    }
+    uint32_t step = 0;
+    while (step < sizeof STEPS - 1U && STEPS[step] < length) {
+        step++;
+    }
+    *code = 9U + step;
+    return STEPS[step];
+}
+
+can_wire_fd_length can_wire_fd_bits(const can_wire *self, const can_frame *frame, const uint8_t *more)
+{
+    const uint32_t switched = (frame->flags & CAN_WIRE_FLAG_BRS) != 0 ? 1U : 0U;
+    const uint32_t passive = (frame->flags & CAN_WIRE_FLAG_ESI) != 0 ? 1U : 0U;
+    uint32_t code;
+    const uint32_t bytes = fd_data_bytes(frame->dlc, &code);
+    stuffer stuffing = {.state = 4, .inserted = 0};
+    can_wire_fd_length length = {.head = 17, .tail = 9};
+    if ((frame->flags & CAN_FLAG_EXTENDED) != 0) {
+        /* start 0, base id, substitute remote request 1, extension 1; rest of id, 0, FD 1, reserved 0 */
+        length.head = 36;
+        send_bits(&stuffing, ((frame->id >> 18) & 0x7FFU) << 2 | 3U, 14);
+        send_bits(&stuffing, (frame->id & 0x3FFFFU) << 3 | 2U, 21);
+    } else {
+        /* start 0, id, 0, extension 0, FD 1, reserved 0 */
+        send_bits(&stuffing, (frame->id & 0x7FFU) << 4 | 2U, 16);
+    }
+    const uint32_t head_stuff = stuffing.inserted; /* one behind the switch is sent at the new rate */
+    send_bits(&stuffing, switched, 1);
+    uint32_t stuff;
+    if (bytes == 0) {
+        send_bits(&stuffing, passive << 3 | code >> 1, 4);
+        stuff = stuffing.inserted;
+    } else {
+        send_bits(&stuffing, passive << 4 | code, 5);
+        uint8_t last = 0;
+        for (uint32_t i = 0; i < bytes; i++) {
+            /* What is sent beyond the sender's data is padding. */
+            const uint8_t *source = i < CAN_DATA_MAX ? frame->data : more;
+            last = 0;
+            if (i < frame->dlc && source != NULL) {
+                last = source[i < CAN_DATA_MAX ? i : i - CAN_DATA_MAX];
+            }
+            if (i + 1U < bytes) {
+                send_byte(self, &stuffing, last);
+            }
+        }
+        send_bits(&stuffing, (uint32_t)last >> 1, 7);
+        /* Behind the last bit stands a fixed stuff bit, never a dynamic one. */
+        stuff = stuffing.inserted;
+    }
+    uint32_t fixed;
+    const uint32_t crc_field = fd_crc_field(bytes, &fixed);
+    length.head += head_stuff;
+    length.fast = 5U + 8U * bytes + (stuff - head_stuff) + crc_field + 1U;
+    length.stuff = stuff + fixed;
+    return length;
 }
 
 void can_wire_bits_of_each(const can_wire *self, const can_frame *frames, uint32_t count, uint32_t *bits)

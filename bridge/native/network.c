@@ -4,6 +4,9 @@
 
 #define STATION(name) (1U << CAN_STATION_##name)
 
+/* The recorder sits on every bus and acknowledges, like a logger in the car: who is alone with it is heard. */
+enum { RECORDER_NODE = CAN_STATION_COUNT };
+
 static const uint8_t MEMBERS[CAN_BUS_COUNT] = {
     [CAN_BUS_1] = STATION(OBC) | STATION(RAPTOR),
     [CAN_BUS_3] = STATION(RAPTOR) | STATION(SPACE_DRIVE),
@@ -16,14 +19,20 @@ void network_init(network *self, const uint32_t bit_rates[4])
     memset(self, 0, sizeof *self);
     memcpy(self->members, MEMBERS, sizeof MEMBERS);
     for (uint32_t bus = 0; bus < CAN_BUS_COUNT; bus++) {
-        can_bus_init(&self->buses[bus], bit_rates[bus]);
+        can_bus_init(&self->buses[bus], bit_rates[bus], bit_rates[bus]);
+        for (uint8_t node = 0; node <= RECORDER_NODE; node++) {
+            (void)can_bus_join(&self->buses[bus], node, 0);
+        }
     }
 }
 
 void network_begin_slot(network *self, uint64_t start_us, uint64_t end_us)
 {
-    self->slot_start_us = start_us;
-    self->slot_end_us = end_us;
+    self->slot_start_ns = start_us * 1000U;
+    self->slot_end_ns = end_us * 1000U;
+    for (uint32_t bus = 0; bus < CAN_BUS_COUNT; bus++) {
+        can_bus_begin_slot(&self->buses[bus], self->slot_start_ns, self->slot_end_ns);
+    }
 }
 
 void network_end_slot(network *self)
@@ -36,10 +45,12 @@ void network_end_slot(network *self)
 void network_submit(network *self, uint8_t station, const can_frame *frames, uint32_t count)
 {
     for (uint32_t i = 0; i < count; i++) {
-        can_frame frame = frames[i];
-        frame.sender = station;
-        if (frame.bus < CAN_BUS_COUNT) {
-            (void)can_bus_submit(&self->buses[frame.bus], &frame); /* the bus counts what it refuses */
+        if (frames[i].bus < CAN_BUS_COUNT) {
+            can_bus_model *bus = &self->buses[frames[i].bus];
+            /* A station that ticks later in the slot does so when what it has heard is through. */
+            const uint64_t now_ns = bus->free_ns > self->slot_start_ns ? bus->free_ns : self->slot_start_ns;
+            self->scratch[0].frame = frames[i];
+            (void)can_bus_submit(bus, station, &self->scratch[0], now_ns); /* the bus counts what it refuses */
         } else {
             self->misaddressed++;
         }
@@ -78,11 +89,14 @@ void network_transmit(network *self, uint8_t bus)
     if (bus >= CAN_BUS_COUNT) {
         return;
     }
-    const uint32_t count =
-        can_bus_transmit(&self->buses[bus], self->slot_start_us, self->slot_end_us, self->scratch, CAN_BUS_PENDING_MAX);
-    for (uint32_t i = 0; i < count; i++) {
-        deliver(self, &self->scratch[i]);
-    }
+    uint32_t count;
+    do {
+        count = can_bus_run(&self->buses[bus], self->slot_end_ns, self->scratch, NETWORK_SCRATCH_MAX);
+        for (uint32_t i = 0; i < count; i++) {
+            self->scratch[i].frame.bus = bus;
+            deliver(self, &self->scratch[i].frame);
+        }
+    } while (count == NETWORK_SCRATCH_MAX);
 }
 
 void network_clear_inbox(network *self, uint8_t station)

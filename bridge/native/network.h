@@ -16,6 +16,7 @@ enum {
     NETWORK_INBOX_MAX = 512,
     NETWORK_LOG_MAX = 8192,
     NETWORK_WATCH_MAX = 16,
+    NETWORK_SCRATCH_MAX = 64,
 };
 
 /* What a station has received and not taken yet, oldest first. */
@@ -33,8 +34,8 @@ typedef struct network_watch {
 
 /* State of the network: start it with network_init. */
 typedef struct network {
-    uint64_t slot_start_us;
-    uint64_t slot_end_us;
+    uint64_t slot_start_ns;
+    uint64_t slot_end_ns;
     uint64_t misaddressed; /* frames submitted for a bus that does not exist */
     uint32_t log_lost;
     uint32_t log_count;
@@ -43,8 +44,8 @@ typedef struct network {
     network_watch watches[NETWORK_WATCH_MAX];
     can_bus_model buses[CAN_BUS_COUNT];
     network_inbox inboxes[CAN_STATION_COUNT];
-    can_frame log[NETWORK_LOG_MAX]; /* transmitted since the last drain, per bus in order of time */
-    can_frame scratch[CAN_BUS_PENDING_MAX];
+    can_frame log[NETWORK_LOG_MAX];             /* transmitted since the last drain, per bus in order of time */
+    can_bus_frame scratch[NETWORK_SCRATCH_MAX]; /* on their way through */
 } network;
 
 /* An empty network with the stations of the car on their buses. bit_rates: bit/s per bus, see can_bus_init. */

@@ -86,7 +86,7 @@ def test_every_station_on_the_bus_but_the_sender_receives(bus: Bus, members: set
         assert network.log_view()["sender"][0] == sender
 
 
-def test_what_does_not_fit_waits_and_keeps_its_rank():
+def test_what_does_not_fit_waits_behind_what_is_on_the_wire():
     network = Network()
     count = 60  # about 120 bits of 2 us each: some 40 fit into 10 ms
     one_tick(network, Station.OBC, b"".join(frame(Bus.CAN1, 1000 + i) for i in range(count)), Bus.CAN1)
@@ -95,7 +95,8 @@ def test_what_does_not_fit_waits_and_keeps_its_rank():
     assert network.statistics()[Bus.CAN1].deferred == count - len(first)
     one_tick(network, Station.OBC, frame(Bus.CAN1, 1), Bus.CAN1, tick=1)
     second = list(iterate(network.take(Station.RAPTOR)))
-    assert [f.id for f in second] == [1, *range(1000 + len(first), 1000 + count)]
+    on_the_wire = 1000 + len(first)
+    assert [f.id for f in second] == [on_the_wire, 1, *range(on_the_wire + 1, 1000 + count)]
     assert all(TICK_US <= f.time_us < 2 * TICK_US for f in second)
     assert network.losses() == 0
 
