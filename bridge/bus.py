@@ -1,4 +1,4 @@
-"""In-process CAN buses: the car's network of stations, with bus timing, load statistics and a frame log.
+"""In-process CAN buses: the car's network of stations, with bus timing, load and delays, and a frame log.
 
 The model is C (``bridge/native/network.h``); this is its one Python face. Frames cross it as buffers of 24-byte
 records (:mod:`dbc.frames`).
@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bridge._native import ffi, lib
+from bridge.delays import MessageDelay, message_delays
 from dbc.frames import FRAME_DTYPE, FRAME_SIZE, Bus, Station
 
 #: Bit rate of each bus in bit/s, as the DBC files state it (a contract test compares).
@@ -165,3 +166,7 @@ class Network:
                 stuff_bits=counts.stuff_bits,
             )
         return result
+
+    def delays(self) -> dict[Bus, list[MessageDelay]]:
+        """What the frames of every identifier had to wait, in order of identifiers."""
+        return {bus: message_delays(self.handle.buses[bus]) for bus in Bus}

@@ -99,6 +99,10 @@ def _dbw(options: argparse.Namespace, console: Console) -> int:
         from tools.dbw.dbc_diff import diff  # noqa: PLC0415
 
         return diff(options.one, options.other, console)
+    if options.dbw_command == "schedule":
+        from tools.dbw.schedule import schedule  # noqa: PLC0415
+
+        return schedule(options.bus, options.bit_rate, options.all_at, console)
     from tools.dbw.decode import decode  # noqa: PLC0415
 
     return decode(options.frame, options.bus, console)
@@ -230,6 +234,13 @@ def make_parser() -> argparse.ArgumentParser:
     diff = tasks.add_parser("diff", help="how one DBC file differs from another")
     diff.add_argument("one", type=Path, help="DBC file")
     diff.add_argument("other", type=Path, help="DBC file")
+
+    schedule = tasks.add_parser("schedule", help="whether what is sent in cycles fits on a bus, in the worst case")
+    schedule.add_argument("--bus", metavar="BUS", default="CAN1", help="CAN1, CAN3, CAN-A or CAN-S (default: CAN1)")
+    schedule.add_argument("--bit-rate", type=_count, metavar="N", help="bit/s (default: that of the DBC file)")
+    schedule.add_argument(
+        "--all-at", type=_positive, metavar="MS", help="every message with this cycle (default: those of the DBC file)"
+    )
 
     bench = commands.add_parser("bench", help="measure the loop against the plain loop a user would write")
     bench.add_argument("--repeats", type=_count, default=5, help="pairs of runs (default: 5)")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -20,9 +20,12 @@ from autonomy.vehicle import VehicleLimits, load_vehicle
 from bridge import bench as lockstep
 from bridge.bench import Bench
 from bridge.bus import BIT_RATES, CHANNELS
+from bridge.delays import MessageDelay
 from bridge.interfaces import Road
 from bridge.recorder import Recording
 from bridge.scenario import Scenario, load_scenario
+from dbc.buses import Bus
+from dbc.codec import database
 from dbc.errors import ConfigurationError, RaceloopError
 from dbc.states import CtState
 from firmware.parameters import Offence, decode_results, load_operation
@@ -164,6 +167,7 @@ def _summary(
     folder: Path,
 ) -> dict[str, Any]:
     simulated_s = bench.now_us * 1e-6
+    delays = bench.network.delays()
     files = (recording.candump, recording.blf, recording.signals, recording.truth, folder / SUMMARY)
     return {
         "scenario": bench.scenario.name,
@@ -186,6 +190,7 @@ def _summary(
                 "load": statistics.load,
                 "load_peak": statistics.load_peak,
                 "lost": statistics.lost,
+                "messages": _messages(bus, delays[bus]),
             }
             for bus, statistics in bench.network.statistics().items()
         },
@@ -194,6 +199,21 @@ def _summary(
         "folder": str(folder),
         "files": [file.name + ("/" if file.is_dir() else "") for file in files],
     }
+
+
+def _messages(bus: Bus, delays: Iterable[MessageDelay]) -> dict[str, dict[str, Any]]:
+    """What each message had to wait for the bus, and how often it is sent."""
+    found = {}
+    for delay in delays:
+        codec = database.find(bus, delay.identifier, delay.extended)
+        found[f"{delay.identifier:X}" if codec is None else codec.name] = {
+            "frames": delay.frames,
+            "mean_queueing_us": delay.mean_us,
+            "worst_queueing_us": delay.worst_us,
+            "worst_response_us": delay.worst_response_us,
+            "cycle_us": 0 if codec is None else codec.cycle_us,
+        }
+    return found
 
 
 def make_folder(folder: Path) -> None:

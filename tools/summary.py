@@ -148,6 +148,9 @@ def show_summary(summary: Mapping[str, Any], console: Console) -> None:
         _show_driving(summary, console)
     console.print(_bus_table(summary["buses"]), width=WIDTH)
     console.print()
+    if real_time is None:
+        console.print(_delay_table(summary["buses"]), width=WIDTH)
+        console.print()
     for name, key in (("SSM", "ssm"), ("ct_state", "ct_state"), ("sys_state", "sys_state")):
         console.print(_states(name, summary[f"{key}_transitions"]))
     for fault in summary["faults"]:
@@ -213,6 +216,26 @@ def _bus_table(buses: Mapping[str, Mapping[str, Any]]) -> Table:
             f"{bus['load']:.1%}",
             f"{bus['load_peak']:.1%}",
             str(bus["lost"]),
+        )
+    return table
+
+
+def _delay_table(buses: Mapping[str, Mapping[str, Any]]) -> Table:
+    """Of each bus the message whose slowest frame needs the largest part of its cycle."""
+    table = _table("bus", "slowest for its cycle", "waits ms", "through ms", "cycle ms", "in time")
+    for name, bus in buses.items():
+        cyclic = {key: message for key, message in bus["messages"].items() if message["cycle_us"]}
+        if not cyclic:
+            continue
+        in_time = sum(message["worst_response_us"] <= message["cycle_us"] for message in cyclic.values())
+        key, worst = max(cyclic.items(), key=lambda item: item[1]["worst_response_us"] / item[1]["cycle_us"])
+        table.add_row(
+            name,
+            key,
+            f"{worst['worst_queueing_us'] / 1000:.2f}",
+            f"{worst['worst_response_us'] / 1000:.2f}",
+            f"{worst['cycle_us'] / 1000:g}",
+            f"{in_time} of {len(cyclic)}",
         )
     return table
 

@@ -9,7 +9,7 @@ Arbitration, frame times with stuff bits, acknowledgement, errors and bus-off co
 (bridge/native/can_bus.h). All buses of one channel name in a process are nodes of one wire.
 """
 
-from bridge.simcan.channel import Channel, Disturbance, MessageDelay, Node, find_channel
+from bridge.simcan.channel import Channel, Disturbance, Node, find_channel
 from bridge.simcan.interface import SimCanBus
 
-__all__ = ["Channel", "Disturbance", "MessageDelay", "Node", "SimCanBus", "find_channel"]
+__all__ = ["Channel", "Disturbance", "Node", "SimCanBus", "find_channel"]

@@ -14,6 +14,7 @@ from typing import Any, Protocol
 from can.exceptions import CanInitializationError, CanOperationError
 
 from bridge._native import ffi, lib
+from bridge.delays import MessageDelay, message_delays
 
 #: Events taken out of the model at once: one, so that each node tells of an error with its counters of that moment.
 _EVENTS = 1
@@ -53,26 +54,6 @@ class Disturbance:
     bit: int = 40
     sender: Node | None = None
     receiver: Node | None = None
-
-
-@dataclass(frozen=True)
-class MessageDelay:
-    """What the frames of one identifier had to wait.
-
-    Attributes
-    ----------
-    identifier, extended : address.
-    frames : sent.
-    mean_us, worst_us : from being ready to the start of the transmission that succeeded, us.
-    worst_response_us : from being ready to the end of frame, us.
-    """
-
-    identifier: int
-    extended: bool
-    frames: int
-    mean_us: float
-    worst_us: float
-    worst_response_us: float
 
 
 @dataclass(eq=False)
@@ -234,10 +215,13 @@ class Channel:
 
     @contextmanager
     def held(self) -> Iterator[int]:
-        """Hold the lock, with all that should have happened by now done; gives the time."""
+        """Hold the lock, with all done that has happened before now; gives the time.
+
+        What happens now is still open: frames that are sent at the same moment compete.
+        """
         with self.changed:
             now_ns = self.now_ns()
-            self.advance(now_ns)
+            self.advance(now_ns - 1)
             yield now_ns
 
     def disturb(self, disturbance: Disturbance) -> None:
@@ -313,24 +297,6 @@ class Channel:
                 frame.frame.sender = event.frame.sender
             node.received.append(frame)
         self.changed.notify_all()
-
-
-def message_delays(model: Any) -> list[MessageDelay]:
-    """What every identifier of a C struct `can_bus_model` had to wait, by identifier."""
-    rows = (model.messages[place] for place in range(lib.CAN_BUS_MESSAGES_MAX))
-    found = [
-        MessageDelay(
-            row.id,
-            bool(row.extended),
-            row.frames,
-            row.total_queueing_ns / row.frames / 1000,
-            row.worst_queueing_ns / 1000,
-            row.worst_response_ns / 1000,
-        )
-        for row in rows
-        if row.frames
-    ]
-    return sorted(found, key=lambda delay: (delay.extended, delay.identifier))
 
 
 _channels: dict[str, Channel] = {}

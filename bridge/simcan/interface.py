@@ -15,12 +15,12 @@ from can.broadcastmanager import (
 from can.exceptions import CanInitializationError, CanOperationError
 
 from bridge._native import ffi, lib
+from bridge.delays import MessageDelay
 from bridge.simcan.channel import (
     NEVER_NS,
     Channel,
     Clock,
     Disturbance,
-    MessageDelay,
     Node,
     channel_names,
     close_channel,

@@ -25,8 +25,11 @@ from cli_harness import Answer, copy_scenarios, edit
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
+from bridge.bus import BIT_RATES
 from dbc.buses import DATABASES, DIRECTORY
+from dbc.codec import database
 from tools.cli import main
+from tools.dbw.schedule import analyse
 
 FULL_BRAKE_KPA = 6000
 LINE = re.compile(r"\((\d+\.\d+)\) (\w+) ([0-9A-F]+)#([0-9A-F]*) [RT]")
@@ -149,6 +152,29 @@ def test_buses(run: Run) -> None:
         assert 0.9 * 47 * bus["frames"] < bus["load"] * 24.0 * bus["bit_rate"] <= 135 * bus["frames"]
         assert bus["load"] < bus["load_peak"] <= 1.0
         assert bus["lost"] == 0
+
+
+def test_waits_of_messages(run: Run) -> None:
+    bounds = {}
+    for bus, rate in BIT_RATES.items():
+        _, rows = analyse([codec for codec in database if codec.bus is bus], rate, None)
+        bounds.update({row.codec.name: row.response_ns for row in rows})
+    for name, bus in run.summary["buses"].items():
+        assert sum(message["frames"] for message in bus["messages"].values()) == bus["frames"]
+        for key, message in bus["messages"].items():
+            assert 0 <= message["mean_queueing_us"] <= message["worst_queueing_us"]
+            assert message["worst_queueing_us"] + 44e6 / bus["bit_rate"] <= message["worst_response_us"]
+            if message["cycle_us"]:
+                assert message["worst_response_us"] <= min(bounds[key] / 1000, message["cycle_us"]), key
+        shown = re.search(rf"^{name} +(\S+) .* (\d+) of (\d+)$", run.answer.out, re.MULTILINE)
+        assert shown is not None
+        assert shown[2] == shown[3]
+        shares = {
+            key: message["worst_response_us"] / message["cycle_us"]
+            for key, message in bus["messages"].items()
+            if message["cycle_us"]
+        }
+        assert shares[shown[1]] == max(shares.values())
 
 
 @pytest.mark.parametrize(

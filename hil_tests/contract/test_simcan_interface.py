@@ -206,7 +206,7 @@ def test_closed_bus_says_so_and_the_wire_is_gone():
 # --- what only a bus with time and errors does ---
 
 
-def test_lower_identifiers_overtake_but_for_what_is_on_the_wire():
+def test_lower_identifiers_go_first_but_not_past_the_head_of_a_fifo_queue():
     with open_bus(queue="priority") as one, open_bus(queue="fifo") as other, open_bus() as ear:
         for identifier in (0x300, 0x100):
             one.send(message(identifier, bytes(8)))
@@ -216,7 +216,7 @@ def test_lower_identifiers_overtake_but_for_what_is_on_the_wire():
         while (found := ear.recv(timeout=0.01)) is not None:
             order.append(found.arbitration_id)
         # The first queue sends by identifier; in the second 0x80 waits behind 0x400.
-        assert order == [0x300, 0x100, 0x400, 0x080]
+        assert order == [0x100, 0x300, 0x400, 0x080]
 
 
 def test_load_and_delays_are_those_of_the_wire(pair: Pair):
