@@ -45,9 +45,13 @@ build: $(VENV)/.dependencies $(VENV)/.built ## Compile codec, firmware, FMUs and
 run: build ## Drive the scenario (SCENARIO=FILE, default the solo lap) and write the recordings to OUT=out
 	$(BIN)/raceloop run $(if $(SCENARIO),'$(SCENARIO)') --out '$(OUT)'
 
+# A file's tests stay in one process. Those in real time run alone: they would measure the others.
+WORKERS := -n 2 --dist loadfile
+
 .PHONY: test
 test: build ## Run all tests
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest $(WORKERS) -m 'not realtime and not machine'
+	$(BIN)/python -m pytest -m 'realtime and not machine'
 
 .PHONY: test-vcan
 test-vcan: build ## Run the SocketCAN tests: on this kernel if it has vcan, else on Debian's kernels under QEMU
@@ -95,7 +99,7 @@ warnings: build ## Compile everything with warnings as errors, with gcc, clang a
 .PHONY: coverage
 coverage: .venv-coverage/.built ## Run the unit tests on instrumented firmware; SSM, parameter check and codec runtime need 100 % of lines and branches
 	find build/coverage -name '*.gcda' -delete
-	.venv-coverage/bin/python -m pytest -q hil_tests/unit
+	.venv-coverage/bin/python -m pytest -q $(WORKERS) -m 'not realtime and not machine' hil_tests/unit
 	$(BIN)/gcovr --root . --object-directory build/coverage --exclude-throw-branches \
 	  --filter 'firmware/obc/ssm\.c' --filter 'firmware/obc/parameters\.c' --filter 'firmware/common/codec\.c' \
 	  --txt-metric branch --print-summary --fail-under-line 100 --fail-under-branch 100 build/coverage

@@ -55,9 +55,11 @@ def run_realtime(scenario_name: str | None, folder: Path, console: Console, opti
     database.check_sources()
     scenario = load_scenario(find_scenario(scenario_name))
     load_road(scenario, scenario.track)
-    _warn_of_busy_cores(options.placement)
+    warning = _busy_cores(options.placement)
     with asked_to_stop_is_ctrl_c(), RealTimeRun(scenario, options, _say) as run:
         run.start(folder)
+        if warning:
+            _say("raceloop", warning)
         course = _Course(run, scenario)
         try:
             _announce(run, console)
@@ -152,14 +154,15 @@ class _Course:
         return run.speed_mps is None or abs(run.speed_mps) < STANDSTILL_SPEED
 
 
-def _warn_of_busy_cores(placement: Placement) -> None:
-    """Say so when other work has the cores that the ECUs will need."""
+def _busy_cores(placement: Placement) -> str:
+    """A warning when other work has the cores that the ECUs will need; empty when it has not."""
     placement.check()
     cores = os.sched_getaffinity(0) if placement.cpu is None else {placement.cpu}
     share = busy_share(cores, WATCH_S)
-    if share > BUSY_SHARE:
-        names = f"core{'s' * (len(cores) > 1)} {', '.join(map(str, sorted(cores)))}"
-        _say("raceloop", f"{names}: {share:.0%} busy with other work, cycles may come late")
+    if share <= BUSY_SHARE:
+        return ""
+    names = f"core{'s' * (len(cores) > 1)} {', '.join(map(str, sorted(cores)))}"
+    return f"{names}: {share:.0%} busy with other work, cycles may come late"
 
 
 def _announce(run: RealTimeRun, console: Console) -> None:

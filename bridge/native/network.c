@@ -7,6 +7,9 @@
 /* The recorder sits on every bus and acknowledges, like a logger in the car: who is alone with it is heard. */
 enum { RECORDER_NODE = CAN_STATION_COUNT };
 
+/* Stations that have gone off a bus come back by themselves, as automotive CAN drivers are usually set up. */
+static const uint64_t RESTART_NS = 100000000;
+
 static const uint8_t MEMBERS[CAN_BUS_COUNT] = {
     [CAN_BUS_1] = STATION(OBC) | STATION(RAPTOR),
     [CAN_BUS_3] = STATION(RAPTOR) | STATION(SPACE_DRIVE),
@@ -22,6 +25,7 @@ void network_init(network *self, const uint32_t bit_rates[4])
         can_bus_init(&self->buses[bus], bit_rates[bus], bit_rates[bus]);
         for (uint8_t node = 0; node <= RECORDER_NODE; node++) {
             (void)can_bus_join(&self->buses[bus], node, 0);
+            self->buses[bus].nodes[node].restart_ns = RESTART_NS;
         }
     }
 }
@@ -40,6 +44,7 @@ void network_end_slot(network *self)
     for (uint32_t bus = 0; bus < CAN_BUS_COUNT; bus++) {
         can_bus_end_slot(&self->buses[bus]);
     }
+    self->slot_start_ns = self->slot_end_ns; /* what is submitted between slots has time to start at the next one */
 }
 
 void network_submit(network *self, uint8_t station, const can_frame *frames, uint32_t count)

@@ -201,3 +201,22 @@ def test_impossible_bit_rate_delivers_nothing():
         one_tick(network, Station.OBC, frame(Bus.CAN1, 1), Bus.CAN1)
         assert network.take(Station.RAPTOR) == b""
         assert network.statistics()[Bus.CAN1].deferred == 1
+
+
+def test_two_stations_with_one_identifier_go_off_the_bus_and_come_back():
+    network = Network()
+    for station in (Station.OBC, Station.RAPTOR):
+        network.submit(station, frame(Bus.CAN1, 42, bytes([station])))
+    for tick in range(30):
+        one_tick(network, Station.SPACE_DRIVE, b"", Bus.CAN1, tick=tick)
+        if tick == 1:
+            one_tick(network, Station.OBC, frame(Bus.CAN1, 42), Bus.CAN1, tick=tick)
+    nodes = network.handle.buses[Bus.CAN1].nodes
+    assert [nodes[station].state for station in (Station.OBC, Station.RAPTOR)] == [lib.CAN_BUS_ERROR_ACTIVE] * 2
+    heard = list(iterate(network.take(Station.RAPTOR)))
+    assert all(f.flags == lib.CAN_FLAG_ERROR for f in heard)
+    back = [f for f in heard if f.id & lib.CAN_BUS_ERROR_RESTARTED]
+    assert len(back) == 1  # that of the other one; its own is its own
+    off = [f for f in heard if f.id & lib.CAN_BUS_ERROR_OFF]
+    assert back[0].time_us == pytest.approx(off[0].time_us + 100_000 + 128 * 11 * 2, abs=10)
+    assert network.statistics()[Bus.CAN1].lost == 1  # submitted while it was off
