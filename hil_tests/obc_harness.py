@@ -12,7 +12,7 @@ from firmware.parameters import encode_operation, load_operation
 from firmware.tables import load_parameters
 
 TICK_US = 10_000
-OPERATION = Path(__file__).resolve().parents[2] / "scenarios" / "operations" / "solo.yaml"
+OPERATION = Path(__file__).resolve().parents[1] / "scenarios" / "operations" / "solo.yaml"
 CAPACITY = 256
 
 
