@@ -33,6 +33,13 @@ static bool reported(const obc *self, uint32_t report, uint32_t timeout)
     return vehicle_feedback_age_ms(&self->vehicle, report, self->io.now_us) <= integer(self, timeout);
 }
 
+/* Flags that race control still stands behind: its heartbeat moves. */
+static bool flags_fresh(const obc *self)
+{
+    return vehicle_feedback_race_control_age_ms(&self->vehicle, self->io.now_us) <=
+           integer(self, PARAMETER_RACE_CONTROL_TIMEOUT);
+}
+
 /* The wheels stand, and nothing says that they slide: neither an old report nor locked wheels are a standstill. */
 static bool standing_still(const obc *self)
 {
@@ -193,11 +200,11 @@ static void run_ssm(void *context)
 
     /* What is not fresh moves nothing: 0 is no sys_state and no flag. */
     const bool raptor_alive = reported(self, VEHICLE_MISC, PARAMETER_MISC_REPORT_TIMEOUT);
-    const bool flags_fresh = !self->conditions.present[FAULT_RACE_CONTROL_LOST];
+    const bool flags = flags_fresh(self);
     const ct_input ct = {
         .sys_state = raptor_alive ? self->vehicle.sys_state : 0U,
-        .track_flag = flags_fresh ? self->vehicle.race_control.track_flag : 0U,
-        .vehicle_flag = flags_fresh ? self->vehicle.race_control.vehicle_flag : 0U,
+        .track_flag = flags ? self->vehicle.race_control.track_flag : 0U,
+        .vehicle_flag = flags ? self->vehicle.race_control.vehicle_flag : 0U,
         .raptor_alive = raptor_alive,
         .configuration_accepted = self->parameters.verdict == PARAMETER_VERDICT_ACCEPTED,
         .nominal = self->ssm_output.state == SSM_NOMINAL,
@@ -240,6 +247,8 @@ static void run_dbw(void *context)
     const control_output *control = &self->control_output;
     const float holding = real(self, PARAMETER_HOLDING_BRAKE_PRESSURE);
     const bool fresh = inputs_fresh(self);
+    /* No flag is acknowledged that is not shown any more. */
+    const bool marelli = reported(self, VEHICLE_MARELLI, PARAMETER_RACE_CONTROL_TIMEOUT);
     const bool brake_more = !fresh && control->brake_pressure < holding;
     const dbw_demand demand = {
         .mode = dbw_mode(self),
@@ -251,9 +260,9 @@ static void run_dbw(void *context)
         .brake_pressure = brake_more ? holding : control->brake_pressure,
         .gear = control->gear,
         .acceleration = {motion.ax, motion.ay, self->estimate.vertical_acceleration},
-        .marelli_track_flag = self->vehicle.race_control.marelli_track_flag,
-        .marelli_vehicle_flag = self->vehicle.race_control.marelli_vehicle_flag,
-        .marelli_sector_flag = self->vehicle.race_control.marelli_sector_flag,
+        .marelli_track_flag = marelli ? self->vehicle.race_control.marelli_track_flag : 0U,
+        .marelli_vehicle_flag = marelli ? self->vehicle.race_control.marelli_vehicle_flag : 0U,
+        .marelli_sector_flag = marelli ? self->vehicle.race_control.marelli_sector_flag : 0U,
     };
     const dbw_limits limits = {
         .full_brake_pressure = real(self, PARAMETER_FULL_BRAKE_PRESSURE),
@@ -271,10 +280,11 @@ static void run_dbw(void *context)
 static void run_ct_report(void *context)
 {
     obc *self = context;
+    const bool flags = flags_fresh(self);
     const dbw_ct_report report = {
         .ct_state = self->ct_state,
-        .track_flag = self->vehicle.race_control.track_flag,
-        .vehicle_flag = self->vehicle.race_control.vehicle_flag,
+        .track_flag = flags ? self->vehicle.race_control.track_flag : 0U,
+        .vehicle_flag = flags ? self->vehicle.race_control.vehicle_flag : 0U,
         .vehicle_number = (uint8_t)integer(self, PARAMETER_VEHICLE_NUMBER),
     };
     dbw_command_ct_report(&self->dbw, &report, self->io.out);

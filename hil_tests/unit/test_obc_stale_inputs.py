@@ -86,6 +86,35 @@ def test_old_flags_and_old_sys_states_lead_nowhere(silent: str) -> None:
     assert harness.ct_state == lib.CT_ACT_TEST
 
 
+@pytest.mark.parametrize(
+    ("silent", "report", "acknowledged"),
+    [
+        ("base_to_car_summary", "ct_report", {"track_cond_ack": 4, "veh_sig_ack": 2}),
+        (
+            "marelli_report_1",
+            "ct_report_2",
+            {"marelli_track_flag_ack": 9, "marelli_vehicle_flag_ack": 35, "marelli_sector_flag_ack": 3},
+        ),
+    ],
+)
+def test_a_flag_that_is_not_shown_any_more_is_not_acknowledged(
+    silent: str, report: str, acknowledged: dict[str, int]
+) -> None:
+    harness = ObcHarness()
+    harness.signals["base_to_car_summary"] |= {"track_flag": 4, "veh_flag": 2}
+    harness.signals["marelli_report_1"] |= {
+        "marelli_track_flag": 9, "marelli_vehicle_flag": 35, "marelli_sector_flag": 3,
+    }  # fmt: skip
+    harness.configure()
+    harness.run(51)
+    assert {signal: harness.value(report, signal) for signal in acknowledged} == acknowledged
+    del harness.periods[silent]
+    harness.run(95)
+    assert {signal: harness.value(report, signal) for signal in acknowledged} == acknowledged
+    harness.run(10)
+    assert {signal: harness.value(report, signal) for signal in acknowledged} == dict.fromkeys(acknowledged, 0)
+
+
 def test_a_stall_longer_than_the_watchdogs_window_counts() -> None:
     """The window must not begin anew in the very tick that tells of the stall."""
     harness = ObcHarness()

@@ -347,13 +347,21 @@ def test_no_gear_change_while_the_gearbox_is_not_ready(status: int) -> None:
     assert car.drive.gear_demand == 0
 
 
-def test_an_old_gear_command_holds_the_gear() -> None:
+@pytest.mark.parametrize(("waited_ticks", "gear"), [(40, 1), (51, 0)])
+def test_an_old_gear_command_holds_the_gear(waited_ticks: int, gear: int) -> None:
+    """The gearbox gets ready for a change that was asked for 400 or 510 ms ago."""
     car = driving()
+    car.wired.gear_shift_status = 2
     car.computer.gear = 1
-    car.run(60)
+    car.run(10)
+    while car.computer.tick % 10 != 1:
+        car.tick()
     car.computer.silent.add("gear_shift_cmd")
-    car.run(100)
-    assert (car.state, car.drive.gear_demand) == (9, 1)
+    car.run(waited_ticks - 1)
+    assert (car.state, car.drive.gear_demand) == (9, 0)
+    car.wired.gear_shift_status = 1
+    car.run(20)
+    assert (car.state, car.drive.gear_demand) == (9, gear)
 
 
 @pytest.mark.parametrize("state", [2, 4, 5, 6, 7])
