@@ -157,7 +157,8 @@ class Car:
     """Raptor and Space Drive joined by CAN3, an onboard computer that a test steers, and stimuli for the rest.
 
     The lines follow the Space Drive's demand at once, the engine runs when the starter has turned for
-    `starter_ticks`, the gearbox takes a gear in `shift_ticks`.
+    `starter_ticks`, the gearbox takes a gear in `shift_ticks`. `heard` and `requested` are the frames that the Raptor
+    and the Space Drive received in the last tick.
     """
 
     def __init__(self, config: Any = ffi.NULL) -> None:
@@ -174,6 +175,8 @@ class Car:
         self.space_drive_connected = True
         self.now_us = 0
         self.log: list[tuple[int, Frame]] = []
+        self.heard: list[bytes] = []
+        self.requested: list[bytes] = []
         self._to_raptor: list[bytes] = []
         self._cranked = 0
         self._shifting = 0
@@ -197,12 +200,12 @@ class Car:
 
     def tick(self, extra: Iterable[bytes] = ()) -> Messages:
         """One minor frame; extra: frames for the Raptor besides those of the computer and the Space Drive."""
-        frames = [*self._to_raptor, *self.computer.frames(), *extra]
-        array, count = frames_buffer(frames)
+        self.heard = [*self._to_raptor, *self.computer.frames(), *extra]
+        array, count = frames_buffer(self.heard)
         lib.raptor_tick(self.c, self.now_us, self.wired, array, count, self.drive, self.outbox.c)
         sent = self.outbox.take()
-        requests = [frame.pack() for frame in sent if frame.bus == Bus.CAN3]
-        answers = self.space_drive.tick(requests).frames
+        self.requested = [frame.pack() for frame in sent if frame.bus == Bus.CAN3]
+        answers = self.space_drive.tick(self.requested).frames
         self._to_raptor = [frame.pack() for frame in answers] if self.space_drive_connected else []
         self.log += [(self.now_us, frame) for frame in sent]
         self._stimulate()

@@ -45,6 +45,7 @@ const raptor_config raptor_config_default = {
 
     .position_timeout_ms = 50,
     .status_timeout_ms = 200,
+    .error_timeout_ms = 500,
     .space_drive_lost_us = 50000,
 
     .rolling_radius = {0.2958f, 0.3099f},

@@ -56,7 +56,8 @@ typedef struct raptor_config {
 
     /* Space Drive. */
     uint16_t position_timeout_ms; /* calibrated positions */
-    uint16_t status_timeout_ms;   /* status and error frames */
+    uint16_t status_timeout_ms;   /* status frames */
+    uint16_t error_timeout_ms;    /* error frames, which come five times as seldom */
     uint32_t space_drive_lost_us; /* how long an axis may be without two valid channels */
 
     /* Vehicle. */

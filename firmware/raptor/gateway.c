@@ -107,7 +107,7 @@ static void judge_axis(raptor_gateway_axis *axis, const raptor_config *config, u
         raptor_gateway_channel *channel = &axis->channels[i];
         const bool overdue = codec_timed_out(&channel->position_rx, config->position_timeout_ms, since_us, now_us);
         const bool status_overdue = codec_timed_out(&channel->status_rx, config->status_timeout_ms, since_us, now_us);
-        const bool errors_overdue = codec_timed_out(&channel->error_rx, config->status_timeout_ms, since_us, now_us);
+        const bool errors_overdue = codec_timed_out(&channel->error_rx, config->error_timeout_ms, since_us, now_us);
         channel->valid = channel->position_rx.seen && channel->plausible && !overdue;
         channel->faulty =
             overdue || (channel->position_rx.seen && !channel->plausible) || status_overdue || errors_overdue;
