@@ -1,12 +1,17 @@
-"""The operator's station on CAN-A: hands the configuration over, asks for launch, reads the verdict."""
+"""The operator's station on CAN-A: hands the configuration over, asks for launch, reads the verdict.
+
+A parameter_write carries no CRC. Instead the onboard computer says of each one what it has read, and the operator
+compares: a car with another configuration than was sent is not launched.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 
 from dbc.codec import database
 from dbc.frames import FRAME_SIZE, iterate
+from firmware.parameters import ACCEPTED, ALTERED
 
 #: launch_request repeats every 100 ms while it is wanted.
 LAUNCH_PERIOD_US = 100_000
@@ -44,14 +49,16 @@ class OperatorStation:
 
     Attributes
     ----------
-    launch_wanted : content of launch_request.
-    verdict : of the onboard computer on the whole configuration.
+    launch_wanted : content of launch_request; False from the moment on that a parameter proves to be altered.
+    verdict : of the onboard computer on the whole configuration; REJECTED too when it accepted an altered one.
     verdict_us : when it came; None before.
-    offences : parameters that it did not accept.
+    offences : parameters that it did not accept, or accepted with another value than was sent.
     """
 
     def __init__(self, parameter_frames: bytes) -> None:
         self._pending = parameter_frames
+        write = database.message("parameter_write")
+        self._sent = [write.decode(frame.data) for frame in iterate(parameter_frames) if frame.id == write.frame_id]
         self._launch = database.message("launch_request")
         self._result = database.message("parameter_result")
         self._summary = database.message("parameter_summary")
@@ -85,9 +92,17 @@ class OperatorStation:
                 continue
             if frame.id == self._result.frame_id:
                 result = ParameterResult(*(int(value) for value in self._result.decode(frame.data)))
-                if result.status != 0:
+                if result.status == ACCEPTED and not self._was_sent(result):
+                    result = replace(result, status=ALTERED)
+                    self.launch_wanted = False
+                if result.status != ACCEPTED:
                     self.offences.append(result)
             elif frame.id == self._summary.frame_id:
                 code = int(self._summary.decode(frame.data)[3])
                 self.verdict = Verdict(code) if code in _VERDICTS else Verdict.PENDING
+                if self.verdict is Verdict.ACCEPTED and not self.launch_wanted:
+                    self.verdict = Verdict.REJECTED
                 self.verdict_us = None if self.verdict is Verdict.PENDING else now_us
+
+    def _was_sent(self, result: ParameterResult) -> bool:
+        return any((key, value) == (result.key, result.value) for key, _, value in self._sent)

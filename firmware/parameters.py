@@ -27,6 +27,9 @@ VERDICT_PENDING, VERDICT_ACCEPTED, VERDICT_REJECTED = range(3)
 
 _CROSS_CHECK = 9
 _COUNT_MISMATCH, _SCHEMA_MISMATCH = 11, 12
+
+#: What an operator says of a parameter that was accepted with another value than it sent; above what the wire carries.
+ALTERED = 0x100
 _REASONS = {
     1: "unknown key",
     2: "wrong type",
@@ -40,6 +43,7 @@ _REASONS = {
     10: "sent after the verdict",
     _COUNT_MISMATCH: "the number of parameters sent and received differs",
     _SCHEMA_MISMATCH: "sender and firmware were built from different parameter schemas",
+    ALTERED: "accepted with another value than was sent",
 }
 _WRITES_PER_TICK = 4
 _TICKS_MAX = 10_000

@@ -6,7 +6,7 @@ from functools import cache
 from typing import Any
 
 import pytest
-from actuator_ecus import FULL_BRAKE
+from actuator_ecus import FULL_BRAKE, Requests, SpaceDrive, message_frame
 from e2e_faults import (
     Stream,
     Traffic,
@@ -145,6 +145,28 @@ def test_a_request_that_is_missed_is_an_emergency(name: str, row: Row) -> None:
     missed = MISSED in row.verdicts[protection(NETWORK[name])]
     assert (run.ecu(-1).emergency != 0) == missed
     assert (run.ecu(-1).brake_demand == FULL_BRAKE) == missed
+
+
+@pytest.mark.parametrize("bit", range(64))
+def test_a_shutdown_with_a_wrong_bit_is_none(bit: int) -> None:
+    """Bits beside its two bytes belong to no signal."""
+    drive, requests = SpaceDrive(), Requests(0.2, 1.0e6)
+    for _ in range(5):
+        drive.tick(requests.frames())
+    order = message_frame("Shutdown_seq", 0, shutdown=1, shutdown_2=1)
+    drive.tick([*requests.frames(), with_bit_flipped(order, bit)])
+    message = database.message("Shutdown_seq")
+    values = message.decode(unpack(with_bit_flipped(order, bit)).data)
+    assert bool(drive.c.shutdown) == (values == message.decode(unpack(order).data))
+    assert drive.c.emergency == 0
+
+
+def test_a_shutdown_that_is_inserted_while_the_car_drives_is_none() -> None:
+    receiver = space_drive()
+    order = message_frame("Shutdown_seq", 0, shutdown=1, shutdown_2=1)
+    run = receiver.run([[*frames, order] for frames in receiver.traffic])
+    assert not run.ecu(-1).shutdown
+    assert run.states[-1] == control(space_drive).states[-1]
 
 
 # --- Onboard computer: reports, estimate, sensors
