@@ -9,6 +9,7 @@ import pytest
 from actuator_ecus import DEG, FULL_BRAKE, GREEN, ORANGE, RED, RUN_UP, YELLOW, Car, car_in, message_frame
 
 from bridge._native import lib
+from dbc.codec import database
 from dbc.frames import FRAME_STRUCT
 
 EMERGENCY = 16
@@ -325,15 +326,19 @@ def test_losing_one_channel_is_a_warning_only() -> None:
     assert {name for name, value in row.items() if value} == {"sd_system_warning", "sd_brake_warning3"}
 
 
-@pytest.mark.parametrize("family", [0x60, 0x80])
-def test_error_or_status_frames_that_stop_are_a_warning(family: int) -> None:
-    """Who no longer says whether it brakes by itself is not healthy."""
+@pytest.mark.parametrize(("family", "message"), [(0x60, "act_err_steer_1"), (0x80, "stat_steer_1")])
+def test_error_or_status_frames_that_stop_are_a_warning(family: int, message: str) -> None:
+    """Who no longer says whether it brakes by itself is not healthy; one that is late is."""
     car = driving()
-    for _ in range(40):
+    codec = database.message(message)
+    rows = []
+    for _ in range((codec.timeout_us + codec.cycle_us) // 10_000 + 2):
         car._to_raptor = [f for f in car._to_raptor if FRAME_STRUCT.unpack(f)[1] & ~7 != family]
-        sent = car.tick()
+        rows.append(car.tick().of("diagnostic_report")[-1])
     assert car.state == 9
-    row = sent.of("diagnostic_report")[-1]
+    for row in rows[: (codec.timeout_us - codec.cycle_us) // 10_000 - 1]:
+        assert not any(row.values())
+    row = rows[-1]
     assert {name for name, value in row.items() if value} == {
         "sd_system_warning", *(f"sd_{axis}_warning{n}" for axis in ("brake", "steer") for n in (1, 2, 3)),
     }  # fmt: skip
