@@ -97,11 +97,11 @@ warnings: build ## Compile everything with warnings as errors, with gcc, clang a
 	@touch $@
 
 .PHONY: coverage
-coverage: .venv-coverage/.built ## Run the unit tests on instrumented firmware; SSM, parameter check and codec runtime need 100 % of lines and branches
+coverage: .venv-coverage/.built ## Run the unit tests on instrumented firmware; SSM, parameter check, codec runtime and profiles need 100 % of lines and branches
 	find build/coverage -name '*.gcda' -delete
 	.venv-coverage/bin/python -m pytest -q $(WORKERS) -m 'not realtime and not machine' hil_tests/unit
 	$(BIN)/gcovr --root . --object-directory build/coverage --exclude-throw-branches \
-	  --filter 'firmware/obc/ssm\.c' --filter 'firmware/obc/parameters\.c' --filter 'firmware/common/codec\.c' \
+	  --filter 'firmware/obc/ssm\.c' --filter 'firmware/obc/parameters\.c' --filter 'firmware/common/codec\.c' --filter 'firmware/common/dbw_profile\.c' \
 	  --txt-metric branch --print-summary --fail-under-line 100 --fail-under-branch 100 build/coverage
 
 .PHONY: clean

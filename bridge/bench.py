@@ -21,7 +21,7 @@ from bridge.scenario import Condition, Scenario, Situation, load_scenario
 from bridge.sensors.truth import Truth
 from bridge.surroundings import TICK_US, Ending, EndWatch, ReportedStates, Surroundings
 from bridge.tap import Taps
-from dbc.codec import database
+from dbc.codec import profile
 from dbc.frames import Bus, Station
 
 #: Ticks between calls of on_progress: ten per simulated second.
@@ -78,20 +78,23 @@ class Bench:
         self.laps = surroundings.laps
         self.scenario = scenario
         self.network = Network()
-        self.monitor = RunMonitor()
+        database = profile(scenario.profile)
+        self.monitor = RunMonitor(database)
         self.obc: Any = ffi.new("obc *")
         self.raptor: Any = ffi.new("raptor *")
         self.space_drive: Any = ffi.new("space_drive *")
         lib.obc_init(self.obc)
         lib.raptor_init(self.raptor, ffi.NULL)
         lib.space_drive_init(self.space_drive, ffi.NULL)
+        lib.obc_select_profile(self.obc, database.number)
+        lib.raptor_select_profile(self.raptor, database.number)
         self.silent: set[Station] = set()
         self.now_us = 0
         self.lost_in_outboxes = 0
         self._autonomy = autonomy
         self._taps = Taps(taps) if taps else None
         self._recorder: Recorder | None = None
-        self._states = ReportedStates()
+        self._states = ReportedStates(database)
         misc, report = self._states.misc_report, self._states.ct_report
         self._misc_data = ffi.buffer(self.network.watch(misc.bus, misc.frame_id).frame.data)
         self._ct_data = ffi.buffer(self.network.watch(report.bus, report.frame_id).frame.data)
@@ -120,9 +123,9 @@ class Bench:
         RaceloopError
             When any of the files is wrong.
         """
-        database.check_sources()  # now rather than when the recording is done
         if isinstance(scenario, Path):
             scenario = load_scenario(scenario)
+        profile(scenario.profile).check_sources()  # now rather than when the recording is done
         road = road_factory(scenario.track)
         surroundings = Surroundings.from_scenario(scenario, road)
         try:
@@ -144,7 +147,7 @@ class Bench:
 
     def record_to(self, folder: Path) -> None:
         """Record from here on; `finish` puts the recording into place."""
-        self._recorder = Recorder(folder, self.plant.output_names, self.plant.output_units)
+        self._recorder = Recorder(folder, self.plant.output_names, self.plant.output_units, self.scenario.profile)
 
     def tick(self) -> None:
         """One minor frame, in the order that never changes."""

@@ -26,7 +26,7 @@ from can.io.canutils import CanutilsLogWriter
 from numpy.typing import NDArray
 
 from bridge.bus import CHANNELS
-from dbc.codec import database
+from dbc.codec import Codec, profile
 from dbc.errors import RaceloopError
 from dbc.frames import FRAME_DTYPE, FRAME_SIZE, FRAME_STRUCT, Flag
 
@@ -96,15 +96,17 @@ class SignalTables:
     Parameters
     ----------
     folder : where to write; must exist.
+    database : messages of the profile that CAN1 has.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, database: Codec) -> None:
+        self._database = database
         self._folder = folder
         self._writers: dict[str, pq.ParquetWriter] = {}
 
     def write(self, frames: bytes) -> None:
         """Append a row group per message."""
-        for name, signals in database.decode_columns(np.frombuffer(frames, dtype=FRAME_DTYPE)).items():
+        for name, signals in self._database.decode_columns(np.frombuffer(frames, dtype=FRAME_DTYPE)).items():
             writer = self._writers.get(name)
             if writer is None:
                 writer = self._writers[name] = self._open(name)
@@ -118,11 +120,12 @@ class SignalTables:
             writer.close()
 
     def _open(self, name: str) -> pq.ParquetWriter:
-        facts = database.facts(name)
+        facts = self._database.facts(name)
         units = {item.name: item.unit or "" for item in facts.message.signals}
         fields = [_field("time_us", pa.int64(), "us")]
         fields += [
-            _field(signal_name, pa.float64(), units[signal_name]) for signal_name in database.message(name).signals
+            _field(signal_name, pa.float64(), units[signal_name])
+            for signal_name in self._database.message(name).signals
         ]
         metadata = {"message": name, "bus": CHANNELS[facts.bus], "id": str(facts.message.frame_id)}
         return pq.ParquetWriter(
@@ -168,15 +171,16 @@ class LogWriter:
     ----------
     folder : of the recording; created when missing.
     names, units : of the plant's outputs.
+    database : messages of the profile that CAN1 has.
     """
 
-    def __init__(self, folder: Path, names: Sequence[str], units: Sequence[str]) -> None:
+    def __init__(self, folder: Path, names: Sequence[str], units: Sequence[str], database: Codec) -> None:
         self._folder = folder
         self._partial = folder / PARTIAL
         shutil.rmtree(self._partial, ignore_errors=True)  # left by a run that was killed
         (self._partial / SIGNALS).mkdir(parents=True)
         self._logs = FrameLogs(self._partial)
-        self._signals = SignalTables(self._partial / SIGNALS)
+        self._signals = SignalTables(self._partial / SIGNALS, database)
         self._truth = TruthTable(self._partial / TRUTH, names, units)
         self._frames = bytearray()
         self._rows = bytearray()
@@ -266,7 +270,7 @@ def main(arguments: Sequence[str]) -> int:
     options: dict[str, Any] = json.loads(arguments[0])
     folder = Path(options["folder"])
     try:
-        writer = LogWriter(folder, options["names"], options["units"])
+        writer = LogWriter(folder, options["names"], options["units"], profile(options["profile"]))
         try:
             digest = serve(sys.stdin.buffer, writer, options["keep"])
         except BaseException:

@@ -8,7 +8,8 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from dbc.codec import database
+from dbc.codec import Codec
+from dbc.codec import database as car
 from dbc.states import CtState, SsmState, SysState
 
 
@@ -45,13 +46,18 @@ class _Machine:
 class RunMonitor:
     """Digests frames in order of time, in chunks of any size.
 
+    Parameters
+    ----------
+    database : messages of the profile that CAN1 has.
+
     Attributes
     ----------
     transitions, faults : what happened, in order.
     executive_frames, executive_overruns, executive_late_frames : newest figures of the onboard computer's executive.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, database: Codec = car) -> None:
+        self._database = database
         self._machines = [
             _Machine("ssm", "ssm_status", "ssm_state", SsmState),
             _Machine("ct", "ct_report", "ct_state", CtState),
@@ -68,7 +74,7 @@ class RunMonitor:
 
     def update(self, frames: NDArray[np.void]) -> None:
         """Take the next frames; array of `FRAME_DTYPE`."""
-        columns = database.decode_columns(frames[np.isin(frames["id"], self._identifiers)])
+        columns = self._database.decode_columns(frames[np.isin(frames["id"], self._identifiers)])
         for machine in self._machines:
             if machine.message in columns:
                 self._follow(machine, *columns[machine.message][machine.signal])

@@ -29,6 +29,7 @@ from bridge.log_writer import (
     TRUTH,
     TRUTH_RECORD,
 )
+from dbc.buses import DEFAULT_PROFILE
 from dbc.errors import RaceloopError
 
 _ROWS = 512
@@ -63,6 +64,7 @@ class Recorder:
     ----------
     folder : of the recording; created when missing.
     names, units : of the plant's outputs.
+    profile : that CAN1 has, for its signals.
     keep : a run that cannot be repeated: when this process dies, what it has given is put into place.
 
     Raises
@@ -71,12 +73,25 @@ class Recorder:
         From any method, when the files cannot be written.
     """
 
-    def __init__(self, folder: Path, names: Sequence[str], units: Sequence[str], keep: bool = False) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        names: Sequence[str],
+        units: Sequence[str],
+        profile: str = DEFAULT_PROFILE,
+        keep: bool = False,
+    ) -> None:
         self._folder = folder
         self._rows: NDArray[np.float64] = np.empty((_ROWS, len(names) + 1))
         self._row_count = 0
         options = json.dumps(
-            {"folder": str(folder.absolute()), "names": list(names), "units": list(units), "keep": keep}
+            {
+                "folder": str(folder.absolute()),
+                "names": list(names),
+                "units": list(units),
+                "profile": profile,
+                "keep": keep,
+            }
         )
         self._process = subprocess.Popen(
             [sys.executable, "-m", "bridge.log_writer", options],

@@ -25,7 +25,8 @@ from numpy.typing import NDArray
 from bridge._native import ffi, lib
 from bridge.bus import CHANNELS
 from bridge.tap import frame_of
-from dbc.codec import database
+from dbc.codec import Codec
+from dbc.codec import database as car
 from dbc.errors import ConfigurationError
 from dbc.frames import FRAME_DTYPE, FRAME_SIZE, Bus, Flag, Station
 
@@ -87,10 +88,16 @@ def read_log(path: Path) -> NDArray[np.void]:
     return np.frombuffer(bytes(frames), dtype=FRAME_DTYPE)
 
 
-def replay_obc(log: NDArray[np.void]) -> Replay:
-    """Replay a log that begins at power-on into a fresh onboard computer."""
+def replay_obc(log: NDArray[np.void], database: Codec = car) -> Replay:
+    """Replay a log that begins at power-on into a fresh onboard computer.
+
+    Parameters
+    ----------
+    log : array of `FRAME_DTYPE`.
+    database : messages of the profile that CAN1 had.
+    """
     frames = log.copy()
-    frames["sender"] = _senders(frames)
+    frames["sender"] = _senders(frames, database)
     tick = frames["time_us"] // _TICK_US
     own = frames["sender"] == Station.OBC
     heard = ~own & (frames["bus"] != Bus.CAN3)
@@ -102,15 +109,16 @@ def replay_obc(log: NDArray[np.void]) -> Replay:
     bounds = np.searchsorted(np.sort(delivered[heard]), np.arange(ticks + 1))
     recorded = frames[own].copy()
     recorded["time_us"] = tick[own] * _TICK_US
-    return Replay(_canonical(recorded), _canonical(np.concatenate([_EMPTY, *_run(inbox, bounds)])))
+    return Replay(_canonical(recorded), _canonical(np.concatenate([_EMPTY, *_run(inbox, bounds, database.number)])))
 
 
 _EMPTY: NDArray[np.void] = np.empty(0, dtype=FRAME_DTYPE)
 
 
-def _run(inbox: NDArray[np.void], bounds: NDArray[np.int64]) -> Iterator[NDArray[np.void]]:
+def _run(inbox: NDArray[np.void], bounds: NDArray[np.int64], profile: int) -> Iterator[NDArray[np.void]]:
     obc: Any = ffi.new("obc *")
     lib.obc_init(obc)
+    lib.obc_select_profile(obc, profile)
     out: Any = ffi.new("can_outbox *")
     storage: Any = ffi.new("can_frame[]", lib.BENCH_OUTBOX_MAX)
     out.frames, out.capacity = storage, lib.BENCH_OUTBOX_MAX
@@ -130,7 +138,7 @@ def _canonical(frames: NDArray[np.void]) -> NDArray[np.void]:
     return ordered
 
 
-def _senders(frames: NDArray[np.void]) -> NDArray[np.uint8]:
+def _senders(frames: NDArray[np.void], database: Codec) -> NDArray[np.uint8]:
     """Station behind each frame by the DBC files; NONE for unknown identifiers."""
     senders = np.zeros(len(frames), dtype=np.uint8)
     for message in database:

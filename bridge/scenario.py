@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from bridge.yaml_file import check_schema, read_yaml
+from dbc.buses import DEFAULT_PROFILE
 from dbc.errors import ConfigurationError
 from dbc.states import CtState, SysState, TrackFlag, VehicleFlag
 
@@ -106,7 +107,7 @@ class FlagStep:
 
 @dataclass(frozen=True)
 class Scenario:
-    """One run of the bench. Files are absolute; lengths in m."""
+    """One run of the bench. Files are absolute; lengths in m; `profile` is the one of CAN1, see `dbc.buses`."""
 
     path: Path
     name: str
@@ -115,6 +116,7 @@ class Scenario:
     vehicle: Path
     operation: Path
     seed: int
+    profile: str
     fmi_version: int
     fmu: Path | None
     start_s_m: float
@@ -144,6 +146,7 @@ def load_scenario(path: Path) -> Scenario:
         vehicle=_referenced(path, content, "vehicle"),
         operation=_referenced(path, content, "operation"),
         seed=content["seed"],
+        profile=content.get("profile", DEFAULT_PROFILE),
         fmi_version=plant.get("fmi_version", 0),
         fmu=_referenced(path, plant, "fmu", "plant.") if "fmu" in plant else None,
         start_s_m=float(content["start"]["s_m"]),

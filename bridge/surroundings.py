@@ -19,7 +19,7 @@ from bridge.scenario import Condition, Scenario, Situation, Trigger, load_vehicl
 from bridge.sensors.suite import SensorSuite
 from bridge.sensors.truth import Truth, TruthReader
 from bridge.wiring import Wiring
-from dbc.codec import database
+from dbc.codec import Codec
 from dbc.errors import ConfigurationError, PlantError, StartValueError
 from dbc.frames import Buffer
 from firmware.parameters import parameter_frames
@@ -130,9 +130,14 @@ class Surroundings:
 
 
 class ReportedStates:
-    """Decodes the states that the scenario looks at, sys_state of misc_report and ct_state of ct_report."""
+    """Decodes the states that the scenario looks at, sys_state of misc_report and ct_state of ct_report.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    database : messages of the profile that CAN1 has.
+    """
+
+    def __init__(self, database: Codec) -> None:
         self.misc_report = database.message("misc_report")
         self.ct_report = database.message("ct_report")
         self._decode_sys, self._sys_place = self.misc_report.decode, self.misc_report.signals.index("sys_state")

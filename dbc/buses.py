@@ -37,7 +37,22 @@ class Station(IntEnum):
     OPERATOR = 6
 
 
-#: DBC files by stem, in the order of their buses.
-DATABASES: Mapping[str, Bus] = MappingProxyType(
-    {"raptor": Bus.CAN1, "space_drive": Bus.CAN3, "autonomy": Bus.CAN_A, "sensors": Bus.CAN_S}
+_BESIDE_CAN1: Mapping[str, Bus] = {"space_drive": Bus.CAN3, "autonomy": Bus.CAN_A, "sensors": Bus.CAN_S}
+
+#: DBC files by profile, then by stem, in the order of their buses. A profile is a public layout of CAN1: V14 is that of
+#: the AV-21, V26 that of the AV-24. The other buses are the same in all. ``enum codec_profile_index`` has this order.
+PROFILES: Mapping[str, Mapping[str, Bus]] = MappingProxyType(
+    {
+        "V14": MappingProxyType({"raptor": Bus.CAN1, **_BESIDE_CAN1}),
+        "V26": MappingProxyType({"raptor_v26": Bus.CAN1, **_BESIDE_CAN1}),
+    }
 )
+
+#: Profile of the car that the firmware was written for: what is meant where none is named.
+DEFAULT_PROFILE = "V14"
+
+#: DBC files of that profile.
+DATABASES: Mapping[str, Bus] = PROFILES[DEFAULT_PROFILE]
+
+#: All DBC files by stem.
+STEMS: tuple[str, ...] = tuple(dict.fromkeys(stem for databases in PROFILES.values() for stem in databases))

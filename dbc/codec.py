@@ -9,6 +9,8 @@ people need (units, value tables, comments) is read from the DBC files with cant
     steering = database.message("steering_cmd")
     frame = steering.frame(-105.5, 5, time_us=10_000)  # 24 bytes
     angle, counter = steering.decode(frame[16:])
+
+:data:`database` is the car's own profile, V14; ``profile("V26")`` gives the messages of another one.
 """
 
 from __future__ import annotations
@@ -16,17 +18,17 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from difflib import get_close_matches
-from functools import cached_property
+from functools import cache, cached_property
 from math import isfinite
 from pathlib import Path
 from struct import Struct
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dbc._codec import ffi, lib
-from dbc.buses import DATABASES, DIRECTORY
+from dbc.buses import DEFAULT_PROFILE, DIRECTORY, PROFILES, STEMS
 from dbc.errors import CodecError, ConfigurationError
 from dbc.frames import FRAME_DTYPE, FRAME_SIZE, Buffer, Bus, Station
 
@@ -43,7 +45,7 @@ class MessageCodec:
 
     Attributes
     ----------
-    index : row in codec_table.
+    index : row in the table of its profile.
     name, database : name of the message and stem of its DBC file.
     bus, frame_id, extended, length : address, and number of data bytes.
     sender : station that owns the message.
@@ -57,6 +59,7 @@ class MessageCodec:
         "_data_buffer",
         "_frame",
         "_frame_buffer",
+        "_profile",
         "_unpack",
         "_values",
         "_values_buffer",
@@ -74,9 +77,10 @@ class MessageCodec:
     )
 
     def __init__(self, codec: Codec, index: int) -> None:
-        row = lib.codec_table[index]
-        entry = lib.codec_values_table[index]
+        row = codec._rows[index]
+        entry = codec._entries[index]
         self._codec = codec
+        self._profile = codec.number
         self.index = index
         self.name: str = ffi.string(entry.name).decode()
         self.database: str = ffi.string(entry.database).decode()
@@ -113,7 +117,7 @@ class MessageCodec:
             self._values[0 : len(self.signals)] = values
         except (IndexError, ValueError):
             raise self._wrong_count(len(values)) from None
-        status = lib.codec_values_encode(self.index, self._values, self._data)
+        status = lib.codec_values_encode(self._profile, self.index, self._values, self._data)
         if status:
             raise self._refused(values, status)
         return bytes(self._data_buffer)
@@ -137,7 +141,12 @@ class MessageCodec:
         except (IndexError, ValueError):
             raise self._wrong_count(len(values)) from None
         status = lib.codec_values_frame(
-            self.index, time_us, self.sender if sender is None else sender, self._values, self._frame
+            self._profile,
+            self.index,
+            time_us,
+            self.sender if sender is None else sender,
+            self._values,
+            self._frame,
         )
         if status:
             raise self._refused(values, status)
@@ -169,6 +178,7 @@ class MessageCodec:
         times = np.ascontiguousarray(np.broadcast_to(np.asarray(time_us, dtype=np.uint64), rows.shape[0]))
         out = np.zeros(rows.shape[0], dtype=FRAME_DTYPE)
         status = lib.codec_values_frames(
+            self._profile,
             self.index,
             ffi.from_buffer("uint64_t[]", times),
             self.sender if sender is None else sender,
@@ -190,7 +200,7 @@ class MessageCodec:
             When there are fewer bytes than the message has; more are ignored.
         """
         data = bytes(data)
-        if lib.codec_values_decode(self.index, data, len(data), self._values):
+        if lib.codec_values_decode(self._profile, self.index, data, len(data), self._values):
             raise CodecError(f"{self.name} has {self.length} data bytes, not {len(data)}")
         return self._unpack(self._values_buffer)
 
@@ -213,6 +223,7 @@ class MessageCodec:
         """Decode those of some frames that are in the rows; both arrays contiguous."""
         values = np.empty((len(self.signals), len(rows)))
         lib.codec_values_decode_columns(
+            self._profile,
             self.index,
             ffi.from_buffer("can_frame[]", frames),
             ffi.from_buffer("uint32_t[]", rows),
@@ -238,7 +249,7 @@ class MessageCodec:
         if len(content) != FRAME_SIZE:
             raise CodecError(f"a frame has {FRAME_SIZE} bytes, not {len(content)}")
         self._frame_buffer[:] = content
-        lib.codec_finish(self._frame, ffi.addressof(lib.codec_table[self.index]), ffi.new("uint8_t *", counter & 0xFF))
+        lib.codec_finish(self._frame, self._codec._rows + self.index, ffi.new("uint8_t *", counter & 0xFF))
         return bytes(self._frame_buffer)
 
     def limits(self, signal: str) -> tuple[float, float]:
@@ -251,14 +262,19 @@ class MessageCodec:
         """
         if signal not in self.signals:
             raise _unknown(f"signal of {self.name}", signal, self.signals)
-        entry = lib.codec_values_table[self.index].signals[self.signals.index(signal)]
+        entry = self._codec._entries[self.index].signals[self.signals.index(signal)]
         ends = (entry.raw_min * entry.scale + entry.offset, entry.raw_max * entry.scale + entry.offset)
         return min(ends), max(ends)
 
     @property
+    def facts(self) -> MessageFacts:
+        """What the DBC file says of the message, with its attributes read."""
+        return self._codec.facts(self.name)
+
+    @property
     def definition(self) -> Message:
         """The message as cantools parsed it from the DBC file: comments, value tables, declared ranges."""
-        return self._codec.facts(self.name).message
+        return self.facts.message
 
     @property
     def units(self) -> tuple[str, ...]:
@@ -286,16 +302,26 @@ class MessageCodec:
 
 
 class Codec:
-    """All messages of the bench, by name.
+    """All messages of the bench in one profile, by name. Mostly to be had from :func:`profile`.
 
     Parameters
     ----------
     directory : where the DBC files are, for what is not compiled in.
+    profile : one of `dbc.buses.PROFILES`.
+
+    Attributes
+    ----------
+    profile : as above.
+    number : of it, ``enum codec_profile_index`` of the firmware.
     """
 
-    def __init__(self, directory: Path = DIRECTORY) -> None:
+    def __init__(self, directory: Path = DIRECTORY, profile: str = DEFAULT_PROFILE) -> None:
+        self.profile = profile
         self._directory = directory
-        self._messages = [MessageCodec(self, index) for index in range(lib.codec_table_count)]
+        self.number = list(PROFILES).index(profile)
+        self._rows: Any = lib.codec_profiles[self.number].messages
+        self._entries: Any = lib.codec_values_profiles[self.number].messages
+        self._messages = [MessageCodec(self, index) for index in range(lib.codec_profiles[self.number].count)]
         self._by_name = {message.name: message for message in self._messages}
         self._by_address = {(message.bus, message.extended, message.frame_id): message for message in self._messages}
 
@@ -323,7 +349,7 @@ class Codec:
         return self._by_address.get((Bus(bus), extended, frame_id))
 
     def identify(self, frames: NDArray[np.void]) -> NDArray[np.int32]:
-        """Row in codec_table of each frame, or the negative ``codec_status`` for which a receiver drops it.
+        """Row of each frame in the profile's table, or the negative ``codec_status`` for which a receiver drops it.
 
         Parameters
         ----------
@@ -332,6 +358,7 @@ class Codec:
         frames = np.ascontiguousarray(frames, dtype=FRAME_DTYPE)
         index = np.empty(len(frames), dtype=np.int32)
         lib.codec_values_identify(
+            self.number,
             ffi.from_buffer("can_frame[]", frames),
             len(frames),
             ffi.from_buffer("int32_t[]", index, require_writable=True),
@@ -371,20 +398,20 @@ class Codec:
         return columns
 
     def check_sources(self) -> None:
-        """Check that the DBC files are those that the C codec was built from.
+        """Check that the profile's DBC files are those that the C codec was built from.
 
         Raises
         ------
         ConfigurationError
             Names the first file that is missing or was changed since.
         """
-        for position, stem in enumerate(DATABASES):
+        for stem in PROFILES[self.profile]:
             path = self._directory / f"{stem}.dbc"
             try:
                 digest = hashlib.sha256(path.read_bytes()).hexdigest()
             except OSError as error:
                 raise ConfigurationError(path, "", error.strerror or "cannot be read") from error
-            if digest != ffi.string(lib.codec_values_sha256[position]).decode():
+            if digest != ffi.string(lib.codec_values_sha256[STEMS.index(stem)]).decode():
                 raise ConfigurationError(path, "", "differs from the file that the codec was built from; build again")
 
     def facts(self, name: str) -> MessageFacts:
@@ -404,7 +431,7 @@ class Codec:
         # cantools takes longer to import than all of this to run; most users never need it.
         from dbc.network import load_network  # noqa: PLC0415
 
-        network = {facts.message.name: facts for facts in load_network(self._directory)}
+        network = {facts.message.name: facts for facts in load_network(self._directory, self.profile)}
         self.check_sources()
         return network
 
@@ -414,5 +441,19 @@ def _unknown(kind: str, name: str, known: Iterable[str]) -> CodecError:
     return CodecError(f"no {kind} is called {name!r}; the nearest is {nearest[0]!r}")
 
 
-#: The messages of the bench.
-database = Codec()
+@cache
+def profile(name: str) -> Codec:
+    """Return the messages of a profile; each is made once.
+
+    Raises
+    ------
+    CodecError
+        When there is none of that name; says which there are.
+    """
+    if name not in PROFILES:
+        raise CodecError(f"no profile is called {name!r}; there are {', '.join(PROFILES)}")
+    return Codec(profile=name)
+
+
+#: The messages of the car's own profile.
+database = profile(DEFAULT_PROFILE)

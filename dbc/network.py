@@ -16,7 +16,7 @@ import cantools.database
 from cantools.database.can import Database, Message, Signal
 from cantools.database.errors import Error
 
-from dbc.buses import DATABASES, DIRECTORY, Bus, Station
+from dbc.buses import DEFAULT_PROFILE, DIRECTORY, PROFILES, Bus, Station
 from dbc.errors import ConfigurationError
 
 #: Station behind each node (BU_) of the DBC files.
@@ -105,8 +105,13 @@ def load_database(path: Path, strict: bool = True) -> Database:
     return database
 
 
-def load_network(directory: Path = DIRECTORY) -> list[MessageFacts]:
-    """All messages of the four DBC files, in the order of codec_table.
+def load_network(directory: Path = DIRECTORY, profile: str = DEFAULT_PROFILE) -> list[MessageFacts]:
+    """All messages of a profile's four DBC files, in the order of its table in the codec.
+
+    Parameters
+    ----------
+    directory : of the files.
+    profile : one of `dbc.buses.PROFILES`.
 
     Raises
     ------
@@ -114,7 +119,7 @@ def load_network(directory: Path = DIRECTORY) -> list[MessageFacts]:
         Names the file, the message and what the codec does not support.
     """
     facts = []
-    for stem, bus in DATABASES.items():
+    for stem, bus in PROFILES[profile].items():
         path = directory / f"{stem}.dbc"
         database = load_database(path)
         bit_rate(path, database)  # attributes stand last: a file that was cut off lacks it

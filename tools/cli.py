@@ -10,6 +10,7 @@ from pathlib import Path
 
 from rich.console import Console
 
+from dbc.buses import DEFAULT_PROFILE
 from dbc.errors import RaceloopError
 from tools.exit_status import ExitStatus
 
@@ -41,9 +42,10 @@ def _dispatch(options: argparse.Namespace, console: Console) -> int:
 
         return check_params(options.file, console)
     if options.command == "replay":
+        from dbc.codec import profile  # noqa: PLC0415
         from tools.replay import replay  # noqa: PLC0415
 
-        return replay(options.log, console)
+        return replay(options.log, profile(options.profile), console)
     if options.command == "hub":
         from tools.hub import hub  # noqa: PLC0415
 
@@ -59,12 +61,12 @@ def _dispatch(options: argparse.Namespace, console: Console) -> int:
 
 def _run(options: argparse.Namespace, console: Console) -> int:
     given = [f"--{name}" for name in _REAL_TIME_ONLY if getattr(options, name) not in (None, [])]
-    if not options.realtime:
-        if given:
-            raise RaceloopError(f"{given[0]} needs --realtime")
-        from tools.run import run  # noqa: PLC0415
+    if not options.realtime and given:
+        raise RaceloopError(f"{given[0]} needs --realtime")
+    from tools.run import chosen_scenario, run  # noqa: PLC0415
 
-        return run(options.scenario, options.out, console, options.rt_ratio)
+    if not options.realtime:
+        return run(chosen_scenario(options.scenario, options.profile), options.out, console, options.rt_ratio)
     if options.rt_ratio is not None:
         raise RaceloopError("--rt-ratio does not go with --realtime, which is always as fast as the clock")
     from tools.realtime import run_realtime  # noqa: PLC0415
@@ -79,18 +81,19 @@ def _run(options: argparse.Namespace, console: Console) -> int:
         options.cpu,
         1 if options.slower is None else options.slower,
     )
-    return run_realtime(options.scenario, options.out, console, chosen)
+    return run_realtime(chosen_scenario(options.scenario, options.profile), options.out, console, chosen)
 
 
 def _dbw(options: argparse.Namespace, console: Console) -> int:
-    if options.dbw_command == "encode":
-        from tools.dbw.encode import encode  # noqa: PLC0415
+    if options.dbw_command == "profiles":
+        from tools.dbw.profiles import compare, show  # noqa: PLC0415
 
-        return encode(options.message, options.values, console)
-    if options.dbw_command == "check":
-        from tools.dbw.check import Outputs, check  # noqa: PLC0415
-
-        return check(options.log, options.bus, Outputs(options.json, options.junit), console)
+        if not options.names:
+            return show(console)
+        if len(options.names) != 2:
+            raise RaceloopError(f"profiles {' '.join(options.names)}: must be two profiles to compare, or none to list")
+        one, other = options.names
+        return compare(one, other, console)
     if options.dbw_command == "lint":
         from tools.dbw.lint import lint  # noqa: PLC0415
 
@@ -99,13 +102,24 @@ def _dbw(options: argparse.Namespace, console: Console) -> int:
         from tools.dbw.dbc_diff import diff  # noqa: PLC0415
 
         return diff(options.one, options.other, console)
+    from dbc.codec import profile  # noqa: PLC0415
+
+    database = profile(options.profile)
+    if options.dbw_command == "encode":
+        from tools.dbw.encode import encode  # noqa: PLC0415
+
+        return encode(database, options.message, options.values, console)
+    if options.dbw_command == "check":
+        from tools.dbw.check import Outputs, check  # noqa: PLC0415
+
+        return check(database, options.log, options.bus, Outputs(options.json, options.junit), console)
     if options.dbw_command == "schedule":
         from tools.dbw.schedule import schedule  # noqa: PLC0415
 
-        return schedule(options.bus, options.bit_rate, options.all_at, console)
+        return schedule(database, options.bus, options.bit_rate, options.all_at, console)
     from tools.dbw.decode import decode  # noqa: PLC0415
 
-    return decode(options.frame, options.bus, console)
+    return decode(database, options.frame, options.bus, console)
 
 
 def _jitter(options: argparse.Namespace, console: Console) -> int:
@@ -148,6 +162,7 @@ def make_parser() -> argparse.ArgumentParser:
         help="simulated seconds per second of the wall clock (default: as fast as possible)",
     )
 
+    run.add_argument("--profile", help="layout of CAN1 (default: the scenario's, V14 where it has none)")
     run.add_argument("--realtime", action="store_true", help="every station a process of its own, by the wall clock")
     live = run.add_argument_group("with --realtime")
     live.add_argument("--bus", choices=["hub", "socketcan"], help="what carries the four buses (default: hub)")
@@ -178,6 +193,8 @@ def make_parser() -> argparse.ArgumentParser:
 
     replay = commands.add_parser("replay", help="replay a recorded log into a fresh onboard computer and compare")
     replay.add_argument("log", type=Path, help="frames.log (candump) or frames.blf of a run, from power-on")
+
+    replay.add_argument("--profile", default=DEFAULT_PROFILE, help=f"layout of CAN1 (default: {DEFAULT_PROFILE})")
 
     hub = commands.add_parser("hub", help="carry the four buses where the kernel has no CAN")
     hub.add_argument(
@@ -234,13 +251,16 @@ def make_parser() -> argparse.ArgumentParser:
     diff = tasks.add_parser("diff", help="how one DBC file differs from another")
     diff.add_argument("one", type=Path, help="DBC file")
     diff.add_argument("other", type=Path, help="DBC file")
-
     schedule = tasks.add_parser("schedule", help="whether what is sent in cycles fits on a bus, in the worst case")
     schedule.add_argument("--bus", metavar="BUS", default="CAN1", help="CAN1, CAN3, CAN-A or CAN-S (default: CAN1)")
     schedule.add_argument("--bit-rate", type=_count, metavar="N", help="bit/s (default: that of the DBC file)")
     schedule.add_argument(
         "--all-at", type=_positive, metavar="MS", help="every message with this cycle (default: those of the DBC file)"
     )
+    profiles = tasks.add_parser("profiles", help="which layouts of CAN1 there are, or how one differs from another")
+    profiles.add_argument("names", nargs="*", metavar="PROFILE", help="two, to compare; none, to list")
+    for task in (encode, decode, check, schedule):
+        task.add_argument("--profile", default=DEFAULT_PROFILE, help=f"layout of CAN1 (default: {DEFAULT_PROFILE})")
 
     bench = commands.add_parser("bench", help="measure the loop against the plain loop a user would write")
     bench.add_argument("--repeats", type=_count, default=5, help="pairs of runs (default: 5)")

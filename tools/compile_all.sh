@@ -22,7 +22,7 @@ else
     objects=build/cortex-m
     rm -rf "$objects" && mkdir -p "$objects"
     for source in firmware/common/*.c firmware/obc/*.c firmware/raptor/*.c firmware/space_drive/*.c \
-        "$generated"/generated/{parameter_table,fault_table,codec_table,raptor,space_drive,sensors,autonomy}.c; do
+        "$generated"/generated/{parameter_table,fault_table,codec_table,raptor,raptor_v26,space_drive,sensors,autonomy}.c; do
         arm-none-eabi-gcc -mcpu=cortex-m4 -mfpu=fpv4-sp-d16 -mfloat-abi=hard -std=c11 -Os -ffunction-sections \
             -Wall -Wextra -Wpedantic -Wconversion -Werror -ffp-contract=off -Ifirmware -I"$generated" \
             -c "$source" -o "$objects/$(echo "$source" | tr / _).o"

@@ -17,9 +17,9 @@ from bridge.realtime.placement import Placement
 from bridge.realtime.supervisor import Ended
 from bridge.realtime.watch import CycleWatch, RunWatch
 from bridge.recorder import Recording
-from bridge.scenario import Scenario, load_scenario
+from bridge.scenario import Scenario
 from bridge.surroundings import STANDSTILL_SPEED, Ending
-from dbc.codec import database
+from dbc.codec import profile
 from firmware.parameters import Offence, decode_results, load_operation
 from firmware.tables import load_parameters
 from tools.exit_status import ExitStatus
@@ -28,7 +28,7 @@ from tools.progress import ProgressBar
 from tools.realtime_run import RealTimeOptions, RealTimeRun
 from tools.realtime_summary import stations_summary
 from tools.recorded import Recorded
-from tools.run import SUMMARY, conclude, find_scenario, load_road
+from tools.run import SUMMARY, conclude, load_road
 from tools.stop_signal import asked_to_stop_is_ctrl_c, not_to_be_stopped
 from tools.summary import driving_summary, event_summary, show_summary, write_summary
 
@@ -39,7 +39,7 @@ LOOK_US = 100_000
 """How often the cycles of the stations are looked at."""
 
 
-def run_realtime(scenario_name: str | None, folder: Path, console: Console, options: RealTimeOptions) -> int:
+def run_realtime(scenario: Scenario, folder: Path, console: Console, options: RealTimeOptions) -> int:
     """Drive a scenario in real time and leave recording and `summary.json` in a folder.
 
     Returns
@@ -52,8 +52,7 @@ def run_realtime(scenario_name: str | None, folder: Path, console: Console, opti
     RaceloopError
         When the run cannot start; nothing is left running or half-written.
     """
-    database.check_sources()
-    scenario = load_scenario(find_scenario(scenario_name))
+    profile(scenario.profile).check_sources()
     load_road(scenario, scenario.track)
     warning = _busy_cores(options.placement)
     with asked_to_stop_is_ctrl_c(), RealTimeRun(scenario, options, _say) as run:
@@ -190,6 +189,7 @@ def _summary(run: RealTimeRun, course: _Course, recording: Recording, folder: Pa
     overflows = {link.bus: link.statistics.overflows for link in run.links}
     return {
         "scenario": scenario.name,
+        "profile": scenario.profile,
         "seed": scenario.seed,
         "finished": course.finished,
         "simulated_s": ended_us * 1e-6,

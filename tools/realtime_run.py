@@ -31,6 +31,8 @@ from bridge.realtime.wired import WiredIo
 from bridge.recorder import Recorder, Recording
 from bridge.scenario import Scenario
 from bridge.surroundings import TICK_US, Ending
+from dbc import codec
+from dbc.buses import DEFAULT_PROFILE
 from dbc.errors import RaceloopError
 from dbc.frames import Bus
 from tools.run import make_folder
@@ -192,10 +194,18 @@ def make_parts(scenario: Scenario, options: RealTimeOptions, shared: SharedFiles
     for name, phase_us in PHASES_US.items():
         role = _ROLES.get(name, Role.ECU)
         if role is Role.ECU:
-            parts[name] = ecu_part(name, options, shared, cycles, options.period_us)
+            parts[name] = ecu_part(name, options, shared, cycles, options.period_us, scenario.profile)
         else:
             # -P: a folder "tools" where the user happens to stand is none of ours.
-            command = [sys.executable, "-P", "-m", "tools.station", name, str(scenario.path)]
+            command = [
+                sys.executable,
+                "-P",
+                "-m",
+                "tools.station",
+                name,
+                str(scenario.path),
+                f"--profile={scenario.profile}",
+            ]
             command += _station_arguments(name, options, shared, cycles)
             command += [f"--truth={shared.truth}"] if name == "plant" else []
             command += [f"--phase={phase_us * options.slower}", f"--period={options.period_us}"]
@@ -218,7 +228,14 @@ def hub_part(options: RealTimeOptions, shared: SharedFiles) -> Part:
     return Part(HUB, tuple(command), Start.SERVICE, partial(_listens, shared.hub))
 
 
-def ecu_part(name: str, options: RealTimeOptions, shared: SharedFiles, cycles: int, period_us: int = TICK_US) -> Part:
+def ecu_part(
+    name: str,
+    options: RealTimeOptions,
+    shared: SharedFiles,
+    cycles: int,
+    period_us: int = TICK_US,
+    profile: str = DEFAULT_PROFILE,
+) -> Part:
     """An ECU of a run.
 
     Parameters
@@ -226,6 +243,7 @@ def ecu_part(name: str, options: RealTimeOptions, shared: SharedFiles, cycles: i
     name : of `STATIONS`.
     cycles : that its log holds.
     period_us : of its cycle; its phase keeps its place within the period.
+    profile : that CAN1 has.
 
     Raises
     ------
@@ -234,6 +252,7 @@ def ecu_part(name: str, options: RealTimeOptions, shared: SharedFiles, cycles: i
     """
     command = [str(program(f"raceloop-{name}")), *_station_arguments(name, options, shared, cycles)]
     command += [f"--phase={PHASES_US[name] * period_us // TICK_US}", f"--period={period_us}"]
+    command += [f"--profile={profile}"] if Bus.CAN1 in _BUSES[name] else []
     command += options.placement.options(Role.ECU)
     return Part(name, tuple(command), is_ready=partial(_has_begun, shared.cycle_log(name)))
 
@@ -442,9 +461,9 @@ class RealTimeRun:
         if folder is not None:
             make_folder(folder)
             names, units = ((), ()) if self._truth is None else (self._truth.names, self._truth.units)
-            self._recorder = Recorder(folder, names, units, keep=True)
+            self._recorder = Recorder(folder, names, units, self.scenario.profile, keep=True)
         sink = self._recorder.add_frames if self._recorder else None
-        self.observer = Observer(self.links, sink, self.options.slower)
+        self.observer = Observer(self.links, sink, self.options.slower, codec.profile(self.scenario.profile))
 
     def _take_truth(self) -> None:
         if self._truth is None:

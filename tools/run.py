@@ -5,7 +5,7 @@ from __future__ import annotations
 import tempfile
 import time
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -25,7 +25,7 @@ from bridge.interfaces import Road
 from bridge.recorder import Recording
 from bridge.scenario import Scenario, load_scenario
 from dbc.buses import Bus
-from dbc.codec import database
+from dbc.codec import Codec, profile
 from dbc.errors import ConfigurationError, RaceloopError
 from dbc.states import CtState
 from firmware.parameters import Offence, decode_results, load_operation
@@ -72,6 +72,18 @@ def make_autonomy(scenario: Scenario, road: Road) -> AutonomyPartition:
     return AutonomyPartition(road, VehicleLimits.from_parameters(scenario.vehicle, load_vehicle(scenario.vehicle)))
 
 
+def chosen_scenario(name: str | None, profile_name: str | None) -> Scenario:
+    """Load a scenario, with another profile of CAN1 than its own when one is named.
+
+    Raises
+    ------
+    RaceloopError
+        When there is no such scenario or profile, or the file is wrong.
+    """
+    scenario = load_scenario(find_scenario(name))
+    return scenario if profile_name is None else replace(scenario, profile=profile(profile_name).profile)
+
+
 def build_bench(scenario: Scenario, folder: Path | None = None) -> Bench:
     """The bench of a scenario with the autonomy of this project.
 
@@ -105,7 +117,7 @@ def load_road(scenario: Scenario, path: Path) -> Track:
     return track
 
 
-def run(scenario_name: str | None, folder: Path, console: Console, rt_ratio: float | None = None) -> int:
+def run(scenario: Scenario, folder: Path, console: Console, rt_ratio: float | None = None) -> int:
     """Run a scenario and leave recording and `summary.json` in a folder.
 
     Returns
@@ -118,7 +130,6 @@ def run(scenario_name: str | None, folder: Path, console: Console, rt_ratio: flo
     RaceloopError
         When a file is wrong or cannot be written; nothing is left half-written.
     """
-    scenario = load_scenario(find_scenario(scenario_name))
     with build_bench(scenario) as bench:
         if scenario.finish.for_us == 0 and scenario.finish.holds(bench.situation):
             raise ConfigurationError(scenario.path, "finish", "holds at power-on; must be something yet to come")
@@ -171,6 +182,7 @@ def _summary(
     files = (recording.candump, recording.blf, recording.signals, recording.truth, folder / SUMMARY)
     return {
         "scenario": bench.scenario.name,
+        "profile": bench.scenario.profile,
         "seed": bench.scenario.seed,
         "finished": finished,
         "simulated_s": simulated_s,
@@ -190,7 +202,7 @@ def _summary(
                 "load": statistics.load,
                 "load_peak": statistics.load_peak,
                 "lost": statistics.lost,
-                "messages": _messages(bus, delays[bus]),
+                "messages": _messages(profile(bench.scenario.profile), bus, delays[bus]),
             }
             for bus, statistics in bench.network.statistics().items()
         },
@@ -201,7 +213,7 @@ def _summary(
     }
 
 
-def _messages(bus: Bus, delays: Iterable[MessageDelay]) -> dict[str, dict[str, Any]]:
+def _messages(database: Codec, bus: Bus, delays: Iterable[MessageDelay]) -> dict[str, dict[str, Any]]:
     """What each message had to wait for the bus, and how often it is sent."""
     found = {}
     for delay in delays:

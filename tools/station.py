@@ -15,6 +15,7 @@ import signal
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import NoReturn
 
@@ -33,7 +34,8 @@ from bridge.realtime.truth_file import TruthWriter
 from bridge.realtime.wired import WiredIo
 from bridge.scenario import Condition, Scenario, load_scenario
 from bridge.surroundings import TICK_US, Surroundings
-from dbc.codec import database
+from dbc.buses import DEFAULT_PROFILE
+from dbc.codec import profile
 from dbc.errors import RaceloopError
 from dbc.frames import Bus
 from tools.run import build_bench, load_road, make_autonomy
@@ -75,7 +77,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 end_with_parent()
             Placement(options.priority, options.cpu).check()  # now rather than when it is ready
             addresses = _addresses(options.bus, BUSES[name])
-            scenario = load_scenario(options.scenario)
+            scenario = replace(load_scenario(options.scenario), profile=profile(options.profile).profile)
             if name == "plant":
                 return _run_plant(options, scenario, addresses, exits, say)
             return _run_autonomy(options, scenario, addresses, exits, say)
@@ -99,7 +101,7 @@ def _run_plant(
         plant, rows = surroundings.plant, scenario.time_limit_us // TICK_US + _SPARE
         truth = exits.enter_context(TruthWriter(options.truth, plant.output_names, plant.output_units, rows))
     station = PlantStation(surroundings, scenario, wires, truth, say)
-    messages = [database.message(heard) for heard in _PLANT_HEARS]
+    messages = [profile(scenario.profile).message(heard) for heard in _PLANT_HEARS]
     filters = {bus: [Filter(one.frame_id) for one in messages if one.bus == bus] for bus in addresses}
     _run(options, scenario, station, addresses, filters, exits, say)
     print(json.dumps(station.report()), flush=True)
@@ -187,6 +189,7 @@ def make_parser() -> argparse.ArgumentParser:
     autonomy = stations.add_parser("autonomy", prog="raceloop-autonomy", help="estimation and planning")
     for station in (plant, autonomy):
         station.add_argument("scenario", type=Path, help="YAML file")
+        station.add_argument("--profile", default=DEFAULT_PROFILE, help=f"of CAN1 (default: {DEFAULT_PROFILE})")
         station.add_argument("--bus", action="append", default=[], metavar="BUS=ADDRESS", help="repeat for each bus")
         station.add_argument("--epoch", type=_epoch_word, metavar="NS", help="CLOCK_MONOTONIC; -: ask (default: now)")
         station.add_argument("--phase", type=_count, default=0, metavar="US", help="within the period (default: 0)")

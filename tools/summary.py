@@ -16,6 +16,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from bridge.monitor import FaultEvent, RunMonitor
+from dbc.buses import DEFAULT_PROFILE
 from dbc.errors import RaceloopError
 from firmware.tables import load_faults
 from tools.realtime_summary import show_real_time
@@ -133,7 +134,8 @@ def write_summary(summary: Mapping[str, Any], path: Path) -> None:
 
 def show_summary(summary: Mapping[str, Any], console: Console) -> None:
     """Print the page, at most `WIDTH` columns wide but for names of files."""
-    console.print(f"[bold]{escape(summary['scenario'])}[/bold], seed {summary['seed']}")
+    layout = "" if summary["profile"] == DEFAULT_PROFILE else f", CAN1 in {summary['profile']}"
+    console.print(f"[bold]{escape(summary['scenario'])}[/bold], seed {summary['seed']}{layout}")
     real_time = summary.get("real_time")
     if real_time is None:
         console.print(

@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 from bridge.monitor import RunMonitor
 from bridge.realtime.bus_load import BusLoad
+from dbc.codec import Codec
+from dbc.codec import database as car
 from dbc.frames import FRAME_DTYPE
 
 #: How long frames are kept back so that one of another bus which comes in later can still go before them. Far more than
@@ -68,6 +70,7 @@ class Observer:
     links : one per bus, without filters.
     sink : takes the frames in order of time: a recorder.
     slower : how many times slower than real time the car lives; frames get the car's time.
+    database : messages of the profile that CAN1 has.
 
     Attributes
     ----------
@@ -79,13 +82,14 @@ class Observer:
         links: Sequence[Listener],
         sink: Callable[[NDArray[np.void]], None] | None = None,
         slower: int = 1,
+        database: Codec = car,
     ) -> None:
         self._links = links
         self._slower = slower
         self._sink = sink
         self._order = InOrder()
         self._next_us = 0
-        self.monitor = RunMonitor()
+        self.monitor = RunMonitor(database)
         self.load = BusLoad()
 
     @property

@@ -15,6 +15,7 @@ from bridge.realtime.truth_file import TruthWriter
 from bridge.realtime.wired import Cell, WiredIo
 from bridge.scenario import Scenario
 from bridge.surroundings import TICK_US, Ending, EndWatch, ReportedStates, Surroundings
+from dbc.codec import profile
 from dbc.frames import Bus, iterate
 
 #: The plant catches up with slots that passed while it was late, up to this far; beyond, the car stands still for them.
@@ -85,7 +86,7 @@ class PlantStation:
         self._truth = truth
         self._say = say
         self._watch = EndWatch(scenario.finish, scenario.time_limit_us)
-        self._states = ReportedStates()
+        self._states = ReportedStates(profile(scenario.profile))
         self._misc_data = self._ct_data = bytes(8)
         self._now_us: int | None = None
         self._raptor_written_ns = 0

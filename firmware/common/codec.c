@@ -3,6 +3,8 @@
 #include <math.h>
 #include <stddef.h>
 
+#include "generated/codec_table.h"
+
 /* The 8 data bytes as one little-endian number: bit n of the DBC file is bit n of it. */
 static uint64_t load_data(const uint8_t *data)
 {
@@ -44,12 +46,17 @@ static uint64_t sort_key(uint8_t bus, bool extended, uint32_t id)
 
 const codec_message *codec_find(uint8_t bus, uint32_t id, bool extended)
 {
+    return codec_find_in(&codec_profiles[CODEC_PROFILE_V14], bus, id, extended);
+}
+
+const codec_message *codec_find_in(const codec_profile *profile, uint8_t bus, uint32_t id, bool extended)
+{
     const uint64_t key = sort_key(bus, extended, id);
     uint32_t low = 0U;
-    uint32_t high = codec_table_count;
+    uint32_t high = profile->count;
     while (low < high) {
         const uint32_t middle = low + (high - low) / 2U;
-        const codec_message *row = &codec_table[middle];
+        const codec_message *row = &profile->messages[middle];
         const uint64_t row_key = sort_key(row->bus, row->extended != 0U, row->id);
         if (row_key == key) {
             return row;
@@ -65,12 +72,17 @@ const codec_message *codec_find(uint8_t bus, uint32_t id, bool extended)
 
 codec_status codec_accept(const can_frame *frame, const codec_message **message)
 {
+    return codec_accept_in(&codec_profiles[CODEC_PROFILE_V14], frame, message);
+}
+
+codec_status codec_accept_in(const codec_profile *profile, const can_frame *frame, const codec_message **message)
+{
     *message = NULL;
     /* First the kinds of frame whose id and data mean nothing: an error frame's id holds error classes. */
     if ((frame->flags & CAN_FLAG_ERROR) != 0U) {
         return CODEC_ERROR_FRAME;
     }
-    *message = codec_find(frame->bus, frame->id, (frame->flags & CAN_FLAG_EXTENDED) != 0U);
+    *message = codec_find_in(profile, frame->bus, frame->id, (frame->flags & CAN_FLAG_EXTENDED) != 0U);
     if (*message == NULL) {
         return CODEC_UNKNOWN_ID;
     }

@@ -46,6 +46,16 @@ typedef struct codec_message {
 extern const codec_message codec_table[];
 extern const uint32_t codec_table_count;
 
+/* The messages of one layout of CAN1 and of the buses beside it, in the order of codec_table. */
+typedef struct codec_profile {
+    const codec_message *messages;
+    uint32_t count;
+} codec_profile;
+
+/* All profiles; generated/codec_table.h names the rows. That of codec_table is the one the firmware is written in; the
+ * others are what dbw_profile.h translates from and to. */
+extern const codec_profile codec_profiles[];
+
 /* Reception state of one message: zero it to start. */
 typedef struct codec_rx {
     uint64_t last_valid_us; /* time of the last frame that passed all checks */
@@ -60,9 +70,15 @@ typedef struct codec_rx {
 /* Row of codec_table for an address, or null. Binary search, at most 8 steps. */
 const codec_message *codec_find(uint8_t bus, uint32_t id, bool extended);
 
+/* The same in the messages of a profile. profile: not null. */
+const codec_message *codec_find_in(const codec_profile *profile, uint8_t bus, uint32_t id, bool extended);
+
 /* Verdict on the frame as such: known id, data frame, no error frame, enough data.
  * message: receives the row when the id is known, else null; not null itself. */
 codec_status codec_accept(const can_frame *frame, const codec_message **message);
+
+/* The same by the messages of a profile. profile: not null. */
+codec_status codec_accept_in(const codec_profile *profile, const can_frame *frame, const codec_message **message);
 
 /* Accept the frame and check its counter (it must differ from the one before: public senders count 0..7, 0..15
  * or 0..255, so "plus one" would reject them) and its CRC. now_us: time of reception, monotonic.

@@ -108,9 +108,14 @@ static void run_receive(void *context)
     obc *self = context;
     self->doubled_id = 0U;
     for (uint32_t i = 0U; i < self->io.in_count; i++) {
-        const can_frame *frame = &self->io.in[i];
+        can_frame translated;
+        const can_frame *frame = &translated;
         const codec_message *message = NULL;
-        if (codec_accept(frame, &message) != CODEC_OK) {
+        const dbw_profile_verdict verdict = dbw_profile_receive(&self->profile, &self->io.in[i], &translated);
+        if (verdict == DBW_PROFILE_NOTHING) {
+            continue;
+        }
+        if (verdict == DBW_PROFILE_REFUSED || codec_accept(frame, &message) != CODEC_OK) {
             self->rejected_frames++;
             continue;
         }
@@ -342,6 +347,11 @@ void obc_init(obc *self)
     self->ct_state = CT_DEFAULT;
 }
 
+bool obc_select_profile(obc *self, uint8_t profile)
+{
+    return dbw_profile_select(&self->profile, profile);
+}
+
 void obc_stop(obc *self)
 {
     self->stopping = true;
@@ -352,6 +362,7 @@ void obc_tick(obc *self, uint64_t now_us, const can_frame *in, uint32_t in_count
     self->io = (obc_tick_io){.in = in, .out = out, .now_us = now_us, .in_count = in_count};
     const uint32_t first = out->count;
     executive_run(&self->executive, schedule, OBC_TASK_COUNT, self, now_us);
+    dbw_profile_send(&self->profile, out, first);
     for (uint32_t i = first; i < out->count; i++) {
         out->frames[i].sender = CAN_STATION_OBC;
     }

@@ -9,6 +9,7 @@
 
 #include "common/can_frame.h"
 #include "common/codec.h"
+#include "common/dbw_profile.h"
 #include "common/executive.h"
 #include "obc/control.h"
 #include "obc/dbw_command.h"
@@ -53,6 +54,7 @@ typedef struct obc_launch {
 typedef struct obc {
     executive executive;
     obc_tick_io io;
+    dbw_profile profile;      /* of CAN1 */
     uint32_t rejected_frames; /* remote, error or short frames on any bus */
     uint32_t doubled_id;      /* of a message of ours that another station sent, heard in this tick; 0: none */
     parameters parameters;
@@ -77,6 +79,10 @@ typedef struct obc {
 
 /* Power on: no configuration, full brake. self: not null. */
 void obc_init(obc *self);
+
+/* Speak a profile on CAN1 from the next tick on; V14 is what a started computer speaks. profile: enum
+ * codec_profile_index. Returns false, with nothing changed, when there is none. */
+bool obc_select_profile(obc *self, uint8_t profile);
 
 /* Schedule table, OBC_TASK_COUNT rows. */
 const executive_task *obc_schedule(void);

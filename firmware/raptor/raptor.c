@@ -6,6 +6,8 @@
 
 #include "raptor/reports.h"
 
+#define FRAMES_PER_SECOND (1.0e6f / (float)EXECUTIVE_FRAME_US)
+
 enum { SHUTDOWN_PERIOD = 10 }; /* minor frames between two shutdown messages */
 
 /* What the tasks of one tick work on. */
@@ -43,8 +45,12 @@ static void receive(void *context)
     raptor *self = tick->self;
 
     for (uint32_t i = 0; i < tick->in_count; i++) {
-        raptor_command_monitor_receive(&self->commands, &self->config, &tick->in[i], self->sys.state, tick->now_us);
-        raptor_gateway_receive(&self->gateway, &tick->in[i], tick->now_us);
+        can_frame frame;
+        if (dbw_profile_receive(&self->profile, &tick->in[i], &frame) != DBW_PROFILE_FRAME) {
+            continue;
+        }
+        raptor_command_monitor_receive(&self->commands, &self->config, &frame, self->sys.state, tick->now_us);
+        raptor_gateway_receive(&self->gateway, &frame, tick->now_us);
     }
     take_wheel_speeds(self, tick->wired);
 }
@@ -169,10 +175,27 @@ static void send_shutdown(void *context)
     }
 }
 
+/* From one minor frame to the next; 0 until both angles have been known for one. */
+static void take_steering_rates(raptor *self)
+{
+    const raptor_gateway_axis *steer = &self->gateway.steer;
+    const bool known = steer->known && steer->channels[0].position_rx.seen;
+    const float primary = steer->channels[0].position;
+    const float commanded = self->demand.steer;
+
+    self->profile.rates = (dbw_steering_rates){0};
+    if (known && self->steering.known) {
+        self->profile.rates.primary = (primary - self->steering.primary) * FRAMES_PER_SECOND;
+        self->profile.rates.commanded = (commanded - self->steering.commanded) * FRAMES_PER_SECOND;
+    }
+    self->steering = (raptor_steering_angles){.primary = primary, .commanded = commanded, .known = known};
+}
+
 static void send_reports(void *context)
 {
     const tick_context *tick = context;
 
+    take_steering_rates(tick->self);
     raptor_reports_send(tick->self, tick->wired, tick->self->schedule.frame, tick->now_us, tick->out);
 }
 
@@ -202,6 +225,11 @@ void raptor_init(raptor *self, const raptor_config *config)
     raptor_demand_init(&self->demand);
 }
 
+bool raptor_select_profile(raptor *self, uint8_t profile)
+{
+    return dbw_profile_select(&self->profile, profile);
+}
+
 void raptor_stop(raptor *self)
 {
     self->stopping = true;
@@ -219,5 +247,7 @@ void raptor_tick(raptor *self, uint64_t now_us, const raptor_wired_in *wired, co
         .drive = drive,
         .out = out,
     };
+    const uint32_t first = out->count;
     executive_run(&self->schedule, schedule, SCHEDULE_TASKS, &tick, now_us);
+    dbw_profile_send(&self->profile, out, first);
 }

@@ -9,6 +9,7 @@
 
 #include "common/can_frame.h"
 #include "common/codec.h"
+#include "common/dbw_profile.h"
 #include "common/executive.h"
 #include "raptor/actuation_test.h"
 #include "raptor/command_monitor.h"
@@ -72,16 +73,25 @@ typedef struct raptor_wired_out {
     bool starter;
 } raptor_wired_out;
 
+/* Angles of the steering motor in one minor frame. */
+typedef struct raptor_steering_angles {
+    float primary;   /* rad, first sensor */
+    float commanded; /* rad, asked of the Space Drive */
+    bool known;
+} raptor_steering_angles;
+
 /* State of one Raptor. raptor_init to start; a zeroed one is in sys_state NONE and asks for full brake. */
 typedef struct raptor {
     raptor_config config;
     executive schedule;
+    dbw_profile profile; /* of CAN1 */
     raptor_command_monitor commands;
     raptor_gateway gateway;
     raptor_diagnostic diagnostic;
     raptor_sys_machine sys;
     raptor_test test;
     raptor_demand demand;
+    raptor_steering_angles steering;         /* of the minor frame before */
     float speed;                             /* m/s, from the undriven wheels */
     float wheel_speed[4];                    /* m/s at the tread, of the last finite readings */
     bool wheel_speeds_valid;                 /* all four read now */
@@ -91,6 +101,10 @@ typedef struct raptor {
 
 /* Put `self` into its power-on state. config: null for the defaults; copied. */
 void raptor_init(raptor *self, const raptor_config *config);
+
+/* Speak a profile on CAN1 from the next tick on; V14 is what a started Raptor speaks. profile: enum
+ * codec_profile_index. Returns false, with nothing changed, when there is none. */
+bool raptor_select_profile(raptor *self, uint8_t profile);
 
 /* Run one minor frame of 10 ms.
  *

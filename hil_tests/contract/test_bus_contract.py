@@ -13,9 +13,9 @@ import bridge
 from bridge._native import lib
 from bridge.bus import BIT_RATES
 from bridge.plant import REQUIRED_INPUTS, REQUIRED_OUTPUTS
+from dbc.buses import DATABASES, DIRECTORY
 from dbc.codec import database
 from dbc.frames import Bus, Flag, Station
-from dbc.network import DATABASES, DIRECTORY
 from dbc.states import CtState, SsmState, SysState, TrackFlag, VehicleFlag
 from plant_fmu import fmu_path
 

@@ -95,6 +95,7 @@ def test_unreadable_scenario(scenario: Path, refused: Callable[..., None]) -> No
         ("track: tracks/lvms.yaml", "track: tracks/monza.yaml", "track", "no such file: tracks/monza.yaml"),
         ("vehicles/av21.yaml", "vehicles/av99.yaml", "vehicle", "no such file: vehicles/av99.yaml"),
         ("operations/solo.yaml", "operations/none.yaml", "operation", "no such file: operations/none.yaml"),
+        ("seed: 20221103", "seed: 1\nprofile: V27", "profile", "is 'V27'; allowed are V14, V26"),
         ("{fmi_version: 3}", "{fmi_version: 1}", "plant.fmi_version", "is 1; allowed are 2, 3"),
         ("{fmi_version: 3}", "{fmu: none.fmu}", "plant.fmu", "no such file: none.fmu"),
         ("{fmi_version: 3}", "{}", "plant", "must hold either fmi_version or fmu"),
@@ -116,6 +117,13 @@ def test_unreadable_scenario(scenario: Path, refused: Callable[..., None]) -> No
 def test_wrong_entry(scenario: Path, refused: Callable[..., None], old: str, new: str, key: str, allowed: str) -> None:
     edit(scenario, old, new)
     refused(scenario, f" {key}: ", allowed)
+
+
+@pytest.mark.parametrize("realtime", [[], ["--realtime"]], ids=["lock step", "real time"])
+def test_a_profile_that_there_is_not(raceloop: Command, scenario: Path, tmp_path: Path, realtime: list[str]) -> None:
+    answer = raceloop("run", scenario, "--out", tmp_path / "out", "--profile", "V27", *realtime)
+    assert_one_line(answer, "no profile is called 'V27'; there are V14, V26")
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize(

@@ -20,6 +20,31 @@ PAGE = Path(__file__).resolve().parents[2] / "docs" / "dbw.md"
 
 SEED = 20221103
 
+GOLDEN_V26 = (
+    (
+        "brake_pressure_cmd",
+        "578#BE0AFC0800060000",
+        "F_brake_pressure_cmd=2750 R_brake_pressure_cmd=2300 brk_pressure_cmd_counter=6",
+    ),
+    (
+        "steering_cmd",
+        "57A#2D07052805050A00",
+        "steering_motor_ang_cmd=-105.5 steering_motor_cmd_counter=5 driver_steering_P_cmd=4.0 driver_steering_I_cmd=0.5"
+        " driver_steering_D_cmd=0.05 driver_steering_FF_cmd=1.0",
+    ),
+    (
+        "steering_report_extd",
+        "520#2D072E072D07",
+        "primary_steering_angle_fbk=-105.5 secondary_steering_ang_fdbk=-105.0 average_steering_ang_fdbk=-105.5",
+    ),
+    (
+        "dash_switches_cmd",
+        "57E#3309000000000000",
+        "driver_traction_aim_switch=3 driver_traction_range_switch=3 brake_bias_aim_switch=INDEPENDENT",
+    ),
+)
+"""Of V26; the last one counted by hand."""
+
 
 @pytest.fixture
 def raceloop(capsys: pytest.CaptureFixture[str]) -> Command:
@@ -56,6 +81,28 @@ def test_golden_frames(raceloop: Command, golden: GoldenFrame):
 def test_names_of_a_value_table(raceloop: Command):
     encoded = raceloop("dbw", "encode", "base_to_car_summary", "track_flag=GREEN", "veh_flag=NONE_ALT")
     assert frame_in(encoded.out) == "4B0#4001000000000000"
+
+
+@pytest.mark.parametrize(("message", "frame", "values"), GOLDEN_V26)
+def test_golden_frames_of_v26(raceloop: Command, message: str, frame: str, values: str):
+    encoded = raceloop("dbw", "encode", "--profile", "V26", message, *values.split())
+    assert (encoded.status, encoded.error) == (0, "")
+    assert frame_in(encoded.out) == frame
+    assert raceloop("dbw", "decode", frame, "--profile", "V26") == encoded
+    assert raceloop("dbw", "decode", frame) != encoded
+
+
+def test_profiles_are_listed_and_compared(raceloop: Command):
+    listed = raceloop("dbw", "profiles")
+    assert listed.status == 0
+    assert [line.split(":")[0] for line in listed.out.splitlines()] == ["V14 (default)", "V26"]
+    assert raceloop("dbw", "profiles", "V26", "V26") == Answer(0, "no difference in what is on the wire\n", "")
+    there, back = raceloop("dbw", "profiles", "V14", "V26"), raceloop("dbw", "profiles", "V26", "V14")
+    assert (there.status, back.status) == (1, 1)
+    assert "novatel_report (546): is new\n" in there.out
+    assert "novatel_report (546): is gone\n" in back.out
+    by_file = raceloop("dbw", "diff", DIRECTORY / "raptor.dbc", DIRECTORY / "raptor_v26.dbc")
+    assert by_file.out == there.out
 
 
 @pytest.mark.parametrize("codec", list(database), ids=lambda codec: codec.name)
@@ -130,6 +177,14 @@ def test_an_identifier_that_two_buses_have_is_shown_for_both(raceloop: Command):
         ("decode 7FF#00", "no message on any bus has the 11-bit identifier 7FF"),
         ("decode 57A#0000000000000000 --bus CAN3", "no message on CAN3 has the 11-bit identifier 57A"),
         ("decode 57A#0000000000000000 --bus CAN2", "allowed are CAN1, CAN3, CAN-A, CAN-S"),
+        ("decode 518#8409410604 --profile V26", "misc_report has 6 data bytes, not 5"),
+        ("encode brake_pressure_cmd brake_pressure_cmd=1 --profile V26", "the nearest is 'R_brake_pressure_cmd'"),
+        ("decode 546#0000000000000000", "no message on any bus has the 11-bit identifier 546"),
+        ("decode 518#8409410604 --profile V27", "no profile is called 'V27'; there are V14, V26"),
+        ("check drive.log --profile v26", "no profile is called 'v26'; there are V14, V26"),
+        ("profiles V14", "must be two profiles to compare, or none to list"),
+        ("profiles V14 V26 V14", "must be two profiles to compare, or none to list"),
+        ("profiles V14 V27", "no profile is called 'V27'; there are V14, V26"),
         ("decode steering", "must be like 57A#2D07050000000000"),
     ],
 )
@@ -168,7 +223,7 @@ def test_the_guide_shows_what_is_printed(raceloop: Command, tmp_path: Path, monk
     (tmp_path / "drive.log").write_text(log)
     monkeypatch.chdir(tmp_path)
     shown = re.findall(r"^```sh\n(raceloop dbw [^\n]*)\n```\n\n```text\n(.*?)^```", PAGE.read_text(), re.M | re.S)
-    assert {line.split()[2] for line, _ in shown} == {"encode", "decode", "lint", "diff", "check"}
+    assert {line.split()[2] for line, _ in shown} == {"encode", "decode", "lint", "diff", "check", "profiles"}
     for line, out in shown:
         answer = raceloop(*shlex.split(line)[1:])
         assert answer.out + answer.error == out, line

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
+import pyarrow.parquet as pq
 import pytest
 
 from bridge.scenario import Condition, load_scenario
@@ -28,6 +30,21 @@ def test_recording_replays_identically(recording: Path, name: str, capsys: pytes
     out = " ".join(capsys.readouterr().out.split())
     assert "replayed identically" in out
     assert int(out.split(": ")[1].split(" ")[0]) > 5_000
+
+
+def test_a_recording_of_another_profile_replays_by_that_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The scenario says V26; the run of a second and a half has its configuration, states and commands."""
+    with build_bench(replace(load_scenario(DEFAULT_SCENARIO), profile="V26"), tmp_path) as bench:
+        bench.run(until=Condition(time_us=1_500_000))
+        bench.finish()
+    columns = pq.read_schema(tmp_path / "signals" / "brake_pressure_cmd.parquet").names
+    assert columns == ["time_us", "F_brake_pressure_cmd", "R_brake_pressure_cmd", "brk_pressure_cmd_counter"]
+    log = str(tmp_path / "frames.log")
+    assert main(["replay", log, "--profile", "V26"]) == 0
+    assert "replayed identically" in " ".join(capsys.readouterr().out.split())
+    assert main(["replay", log]) == 1
+    assert main(["replay", log, "--profile", "V27"]) == 2
+    assert capsys.readouterr().err == "raceloop: no profile is called 'V27'; there are V14, V26\n"
 
 
 def test_changed_input_is_told_with_its_time(

@@ -94,15 +94,25 @@ def rejected(tmp_path_factory: pytest.TempPathFactory) -> Run:
 
 def test_keys_of_the_summary(run: Run) -> None:
     assert set(run.summary) == {
-        "scenario", "seed", "finished", "configuration", "offences", "simulated_s", "wall_s", "wall_with_recording_s",
-        "real_time_factor", "laps_s", "top_speed_kmh", "top_lateral_acceleration_mps2", "distance_m", "tracking",
-        "yaw_error_share_in_band", "cross_track_share_left", "ssm_transitions", "ct_state_transitions",
-        "sys_state_transitions", "faults", "executive", "buses", "frames_lost", "frame_log_sha256", "folder", "files",
+        "scenario", "profile", "seed", "finished", "configuration", "offences", "simulated_s", "wall_s",
+        "wall_with_recording_s", "real_time_factor", "laps_s", "top_speed_kmh", "top_lateral_acceleration_mps2",
+        "distance_m", "tracking", "yaw_error_share_in_band", "cross_track_share_left", "ssm_transitions",
+        "ct_state_transitions", "sys_state_transitions", "faults", "executive", "buses", "frames_lost",
+        "frame_log_sha256", "folder", "files",
     }  # fmt: skip
     for row in run.summary["tracking"]:
         assert set(row) == {
             "speed_range_kmh", "samples", "cte_max_m", "cte_abs_mean_m", "cte_std_m", "yaw_error_max_rad",
         }  # fmt: skip
+
+
+def test_a_profile_is_said_and_recorded(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scenario = copy_scenarios(tmp_path / "scenarios")
+    edit(scenario, "time_limit_s: 300.0", "time_limit_s: 0.5")
+    assert main(["run", str(scenario), "--out", str(tmp_path / "out"), "--profile", "V26"]) == 1
+    assert capsys.readouterr().out.startswith("solo_lap, seed 20221103, CAN1 in V26\n")
+    assert json.loads((tmp_path / "out" / "summary.json").read_text())["profile"] == "V26"
+    assert "F_brake_pressure_cmd" in pq.read_schema(tmp_path / "out/signals/brake_pressure_cmd.parquet").names
 
 
 def test_run_that_is_out_of_time(run: Run) -> None:
@@ -157,7 +167,7 @@ def test_buses(run: Run) -> None:
 def test_waits_of_messages(run: Run) -> None:
     bounds = {}
     for bus, rate in BIT_RATES.items():
-        _, rows = analyse([codec for codec in database if codec.bus is bus], rate, None)
+        _, rows = analyse(database, bus, rate, None)
         bounds.update({row.codec.name: row.response_ns for row in rows})
     for name, bus in run.summary["buses"].items():
         assert sum(message["frames"] for message in bus["messages"].values()) == bus["frames"]

@@ -24,7 +24,7 @@ from layout_reference import Data, boundary_values, physical_values, raw_values,
 from numpy.typing import NDArray
 
 from dbc._codec import ffi, lib
-from dbc.codec import MessageCodec, database
+from dbc.codec import Codec, MessageCodec, database, profile
 from dbc.errors import CodecError
 from dbc.frames import FRAME_DTYPE, frame_array, iterate
 from dbc.network import load_network, raw_limits
@@ -33,17 +33,35 @@ SEED = int(os.environ.get("RACELOOP_SEED", "20210107"))
 FRAMES = 100_000
 CANTOOLS_FRAMES = int(os.environ.get("RACELOOP_CANTOOLS_FRAMES", "500"))
 
-DEFINITIONS = {facts.message.name: facts.message for facts in load_network()}
-MESSAGES = [pytest.param(message, id=message.name) for message in database]
+V26 = profile("V26")
+#: By profile and name.
+DEFINITIONS = {
+    (codec.profile, facts.message.name): facts.message
+    for codec in (database, V26)
+    for facts in load_network(profile=codec.profile)
+}
+#: Of V26 what is not V14's as well.
+MESSAGES = [
+    *(pytest.param(message, id=message.name) for message in database),
+    *(pytest.param(message, id=f"V26.{message.name}") for message in V26 if message.database == "raptor_v26"),
+]
 
 #: What cantools raises, strict or not, when a value does not fit.
 CANTOOLS_REFUSALS = (EncodeError, OverflowError, ValueError)
 
 
+def codec_of(message: MessageCodec) -> Codec:
+    return V26 if message.database == "raptor_v26" else database
+
+
+def definition_of(message: MessageCodec) -> Message:
+    return DEFINITIONS[codec_of(message).profile, message.name]
+
+
 def generator(message: MessageCodec, stream: int) -> np.random.Generator:
     """Random numbers of one test of one message; prints how to get them again."""
     print(f"again: RACELOOP_SEED={SEED} python -m pytest {__file__} -k '{message.name}'")
-    return np.random.default_rng([SEED, message.index, stream])
+    return np.random.default_rng([SEED, codec_of(message).number, message.index, stream])
 
 
 def frames_of(message: MessageCodec, data: Data) -> NDArray[np.void]:
@@ -67,19 +85,19 @@ def cantools_decode(definition: Message, data: bytes) -> tuple[float, ...]:
 
 def c_decode(message: MessageCodec, data: bytes) -> tuple[float, ...]:
     values = ffi.new("double[]", len(message.signals))
-    assert lib.codec_values_decode(message.index, data, len(data), values) == lib.CODEC_OK
+    assert lib.codec_values_decode(codec_of(message).number, message.index, data, len(data), values) == lib.CODEC_OK
     return tuple(values)
 
 
 def c_encode(message: MessageCodec, values: tuple[float, ...]) -> bytes:
     data = ffi.new("uint8_t[8]", [0xA5] * 8)
-    assert lib.codec_values_encode(message.index, ffi.new("double[]", values), data) == lib.CODEC_OK
+    assert lib.codec_values_encode(codec_of(message).number, message.index, ffi.new("double[]", values), data) == lib.CODEC_OK
     return bytes(data)
 
 
 def check_with_cantools(message: MessageCodec, data: Data) -> None:
     """All implementations decode every row alike, and encode the result into the bits that it came from."""
-    definition = DEFINITIONS[message.name]
+    definition = definition_of(message)
     reference = physical_values(definition, data).T.tolist()
     kept = data & used_bits(definition)
     columns = message.columns(frames_of(message, data)).T.tolist()
@@ -95,10 +113,12 @@ def check_with_cantools(message: MessageCodec, data: Data) -> None:
 # --- layouts
 
 
-def test_messages_are_those_of_the_dbc_files() -> None:
-    assert [message.name for message in database] == list(DEFINITIONS)
-    for message in database:
-        definition = DEFINITIONS[message.name]
+@pytest.mark.parametrize("codec", [database, V26], ids=["V14", "V26"])
+def test_messages_are_those_of_the_dbc_files(codec: Codec) -> None:
+    definitions = {name: definition for (of, name), definition in DEFINITIONS.items() if of == codec.profile}
+    assert [message.name for message in codec] == list(definitions)
+    for message in codec:
+        definition = definitions[message.name]
         assert message.signals == tuple(signal.name for signal in definition.signals)
         assert (message.frame_id, message.extended, message.length) == (
             definition.frame_id,
@@ -107,9 +127,10 @@ def test_messages_are_those_of_the_dbc_files() -> None:
         )
 
 
-def test_no_two_messages_share_an_address() -> None:
-    addresses = {(message.bus, message.extended, message.frame_id) for message in database}
-    assert len(addresses) == len(database) == len(DEFINITIONS)
+@pytest.mark.parametrize("codec", [database, V26], ids=["V14", "V26"])
+def test_no_two_messages_share_an_address(codec: Codec) -> None:
+    addresses = {(message.bus, message.extended, message.frame_id) for message in codec}
+    assert len(addresses) == len(codec)
 
 
 # --- random frames
@@ -130,12 +151,12 @@ def test_every_bit_alone(message: MessageCodec) -> None:
 
 @pytest.mark.parametrize("message", MESSAGES)
 def test_a_hundred_thousand_random_frames(message: MessageCodec) -> None:
-    definition = DEFINITIONS[message.name]
+    definition = definition_of(message)
     data = generator(message, 1).integers(0, 256, (FRAMES, 8), dtype=np.uint8)
     frames = frames_of(message, data)
     columns = message.columns(frames)
     assert np.array_equal(columns, physical_values(definition, data))
-    (decoded,) = database.decode_columns(frames).values()
+    (decoded,) = codec_of(message).decode_columns(frames).values()
     for signal, column in zip(message.signals, columns, strict=True):
         assert np.array_equal(decoded[signal][1], column)
     encoded = frame_array(message.frames(columns.T))
@@ -147,7 +168,7 @@ def test_a_hundred_thousand_random_frames(message: MessageCodec) -> None:
 @pytest.mark.parametrize("message", MESSAGES)
 def test_random_values_between_the_steps_round_alike(message: MessageCodec) -> None:
     """Physical values off the grid, as controllers compute them; single frames and batch must agree."""
-    definition = DEFINITIONS[message.name]
+    definition = definition_of(message)
     limits = [message.limits(name) for name in message.signals]
     random = generator(message, 2)
     rows = np.column_stack([random.uniform(low, high, 200) for low, high in limits])
@@ -171,7 +192,7 @@ def boundary_rows(definition: Message) -> Iterator[tuple[int, ...]]:
 
 @pytest.mark.parametrize("message", MESSAGES)
 def test_boundary_values(message: MessageCodec) -> None:
-    definition = DEFINITIONS[message.name]
+    definition = definition_of(message)
     for raw in boundary_rows(definition):
         values = tuple(s.scale * value + s.offset for s, value in zip(definition.signals, raw, strict=True))
         data = c_encode(message, values)
@@ -188,7 +209,7 @@ def test_boundary_values(message: MessageCodec) -> None:
 @pytest.mark.parametrize("message", MESSAGES)
 def test_what_the_bits_do_not_hold_is_refused(message: MessageCodec) -> None:
     """The generated C would wrap these silently; each signal alone must be refused, by name, and by cantools too."""
-    definition = DEFINITIONS[message.name]
+    definition = definition_of(message)
     lowest = [message.limits(name)[0] for name in message.signals]
     for index, signal in enumerate(definition.signals):
         low, high = raw_limits(signal)
@@ -196,7 +217,7 @@ def test_what_the_bits_do_not_hold_is_refused(message: MessageCodec) -> None:
             values = list(lowest)
             values[index] = signal.scale * raw + signal.offset
             untouched = ffi.new("uint8_t[8]")
-            assert lib.codec_values_encode(message.index, ffi.new("double[]", values), untouched) == index + 1
+            assert lib.codec_values_encode(codec_of(message).number, message.index, ffi.new("double[]", values), untouched) == index + 1
             assert bytes(untouched) == bytes(8), "a refused value leaves no data"
             with pytest.raises(CodecError, match=rf"^{message.name}\.{signal.name}: "):
                 message.encode(*values)
@@ -243,7 +264,7 @@ def test_declared_ranges_are_where_strict_cantools_differs() -> None:
 def test_frames_that_are_too_short_are_refused(message: MessageCodec) -> None:
     values = ffi.new("double[]", [77.0] * len(message.signals))
     for length in range(message.length):
-        assert lib.codec_values_decode(message.index, bytes(8), length, values) == lib.CODEC_SHORT_FRAME
+        assert lib.codec_values_decode(codec_of(message).number, message.index, bytes(8), length, values) == lib.CODEC_SHORT_FRAME
         assert list(values) == [77.0] * len(message.signals)
         with pytest.raises(CodecError):
             message.decode(bytes(length))
@@ -256,7 +277,7 @@ def test_frames_that_are_too_short_are_refused(message: MessageCodec) -> None:
 @pytest.mark.parametrize("golden", [pytest.param(golden, id=golden.message) for golden in GOLDEN])
 def test_golden_frames(golden: GoldenFrame) -> None:
     message = database.message(golden.message)
-    definition = DEFINITIONS[golden.message]
+    definition = definition_of(message)
     assert set(golden.values) <= set(message.signals)
     data = bytes.fromhex(golden.data)
     assert len(data) == message.length

@@ -4,25 +4,31 @@ from __future__ import annotations
 
 import csv
 from collections import defaultdict
+from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
 from cantools.database.can import Signal
 
-from dbc.buses import DATABASES, DIRECTORY, Bus
+from dbc.buses import DIRECTORY, PROFILES, STEMS, Bus
 from dbc.network import MessageFacts, load_database, load_network, raw_limits
 from dbc.protocol_page import bus_load
 
-#: Facts of the two public layouts, written down apart from the DBC files. An id with an x has 29 bits.
+#: Facts of the public layouts, written down apart from the DBC files. An id with an x has 29 bits.
 LAYOUTS = Path(__file__).parent / "layouts.csv"
 
 NETWORK = load_network()
+V26 = load_network(profile="V26")
+#: Every message of every DBC file.
+EVERY = [*NETWORK, *(facts for facts in V26 if facts.bus == Bus.CAN1)]
+IDS = [f"{facts.database}.{facts.message.name}" for facts in EVERY]
 MESSAGES = {facts.message.name: facts for facts in NETWORK}
+V26_MESSAGES = {facts.message.name: facts for facts in V26}
 BIT_RATES = {Bus.CAN1: 500_000, Bus.CAN3: 500_000, Bus.CAN_A: 1_000_000, Bus.CAN_S: 500_000}
 
 
-def signal(message: str, name: str) -> Signal:
-    return MESSAGES[message].message.get_signal_by_name(name)
+def signal(message: str, name: str, messages: Mapping[str, MessageFacts] = MESSAGES) -> Signal:
+    return messages[message].message.get_signal_by_name(name)
 
 
 def facts_of(facts: MessageFacts, item: Signal) -> tuple[object, ...]:
@@ -33,7 +39,7 @@ def facts_of(facts: MessageFacts, item: Signal) -> tuple[object, ...]:
     return (facts.database, message.name, identifier, message.length, item.name, *layout)
 
 
-@pytest.mark.parametrize(("stem", "messages"), [("raptor", 47), ("space_drive", 22)])
+@pytest.mark.parametrize(("stem", "messages"), [("raptor", 47), ("raptor_v26", 53), ("space_drive", 22)])
 def test_public_layout_bit_for_bit(stem: str, messages: int) -> None:
     with LAYOUTS.open(newline="", encoding="ascii") as file:
         expected = {
@@ -45,7 +51,7 @@ def test_public_layout_bit_for_bit(stem: str, messages: int) -> None:
             for row in csv.DictReader(file)
             if row["database"] == stem
         }
-    actual = {facts_of(facts, item) for facts in NETWORK if facts.database == stem for item in facts.message.signals}
+    actual = {facts_of(facts, item) for facts in EVERY if facts.database == stem for item in facts.message.signals}
     assert actual == expected
     assert len({row[1] for row in actual}) == messages
 
@@ -82,7 +88,49 @@ def test_declared_ranges_are_kept_though_the_bits_differ(
     assert tuple(raw * item.scale + item.offset for raw in raw_limits(item)) == pytest.approx(real)
 
 
-@pytest.mark.parametrize("facts", [pytest.param(facts, id=facts.message.name) for facts in NETWORK])
+@pytest.mark.parametrize(
+    ("message", "name", "declared", "real"),
+    [
+        ("steering_cmd", "steering_motor_ang_cmd", (-1024, 1023), (-512, 511.5)),
+        ("steering_report_extd", "average_steering_ang_fdbk", (-1024, 1023), (-512, 511.5)),
+        ("brake_report_extd", "F_brk_pos_cmd", (0, 15000), (7500, -15699.39)),
+        ("steering_report_extd_2", "motor_duty_cycle_cmd", (-100, 100), (-128, 127)),
+        ("pt_report_4", "intake_air_temp_degC", (-40, 120), (-3276.8, 3276.7)),
+        ("steering_cmd", "driver_steering_FF_cmd", (0, 3.1), (0, 3.1)),
+    ],
+)
+def test_declared_ranges_of_v26_are_kept(
+    message: str, name: str, declared: tuple[float, float], real: tuple[float, float]
+) -> None:
+    item = signal(message, name, V26_MESSAGES)
+    assert (item.minimum, item.maximum) == declared
+    assert tuple(raw * item.scale + item.offset for raw in raw_limits(item)) == pytest.approx(real)
+
+
+def test_profiles_differ_on_can1_alone() -> None:
+    for one, other in zip(*([f for f in network if f.bus != Bus.CAN1] for network in (NETWORK, V26)), strict=True):
+        assert one.message.name == other.message.name
+        assert one.database == other.database
+    assert [facts for facts in V26 if facts.bus == Bus.CAN1 and facts.database != "raptor_v26"] == []
+
+
+def test_what_v26_has_of_v14_means_the_same() -> None:
+    """Same sender, period, time-out, value tables and comments where bits are the same: two files, one car."""
+    for facts in V26:
+        old = MESSAGES.get(facts.message.name)
+        if old is None:
+            continue
+        assert (facts.sender, facts.cycle_ms, facts.timeout_ms) == (old.sender, old.cycle_ms, old.timeout_ms)
+        assert (facts.counter is None) == (old.counter is None)
+        signals = {item.name: item for item in old.message.signals}
+        for item in facts.message.signals:
+            if item.name in signals:
+                twin = signals[item.name]
+                assert (item.unit, item.choices, item.comment) == (twin.unit, twin.choices, twin.comment), item.name
+                assert (item.minimum, item.maximum) == (twin.minimum, twin.maximum), item.name
+
+
+@pytest.mark.parametrize("facts", EVERY, ids=IDS)
 def test_raw_limits_are_what_the_bits_hold(facts: MessageFacts) -> None:
     for item in facts.message.signals:
         attributes = item.dbc.attributes if item.dbc is not None else {}
@@ -99,7 +147,7 @@ def test_own_layouts_declare_what_the_bits_hold() -> None:
 
 
 def test_every_message_is_described_and_received() -> None:
-    for facts in NETWORK:
+    for facts in EVERY:
         assert facts.message.comment, facts.message.name
         for item in facts.message.signals:
             assert item.receivers, (facts.message.name, item.name)
@@ -107,15 +155,16 @@ def test_every_message_is_described_and_received() -> None:
 
 
 def test_time_outs_leave_room_for_lost_frames() -> None:
-    for facts in NETWORK:
+    for facts in EVERY:
         if facts.timeout_ms:
             assert facts.cycle_ms > 0, facts.message.name
             assert facts.timeout_ms >= 3 * facts.cycle_ms, facts.message.name
 
 
-def test_commands_and_safety_frames_are_supervised() -> None:
+@pytest.mark.parametrize("messages", [MESSAGES, V26_MESSAGES], ids=PROFILES)
+def test_commands_and_safety_frames_are_supervised(messages: Mapping[str, MessageFacts]) -> None:
     for name in ("brake_pressure_cmd", "accelerator_cmd", "steering_cmd"):
-        facts = MESSAGES[name]
+        facts = messages[name]
         assert (facts.cycle_ms, facts.timeout_ms) == (10, 100)
         assert facts.counter is not None
         assert facts.crc is None  # the public CAN1 has none
@@ -124,7 +173,7 @@ def test_commands_and_safety_frames_are_supervised() -> None:
         "req_brake_pos",
         *(f"calb_{axis}_pos_{i}" for axis in ("steer", "brake") for i in (1, 2, 3)),
     ):
-        facts = MESSAGES[name]
+        facts = messages[name]
         assert facts.timeout_ms == 50
         assert facts.counter is not None
         assert facts.crc is not None
@@ -137,24 +186,27 @@ def test_frames_of_one_plan_share_its_counter() -> None:
         assert MESSAGES[name].counter is None
 
 
-@pytest.mark.parametrize(("bus", "limit"), [(Bus.CAN1, 0.60), (Bus.CAN3, 0.60), (Bus.CAN_A, 0.80), (Bus.CAN_S, 0.60)])
-def test_bus_load_is_plausible(bus: Bus, limit: float) -> None:
-    stem = next(stem for stem, other in DATABASES.items() if other == bus)
+@pytest.mark.parametrize(
+    ("stem", "limit"),
+    [("raptor", 0.60), ("raptor_v26", 0.60), ("space_drive", 0.60), ("autonomy", 0.80), ("sensors", 0.60)],
+)
+def test_bus_load_is_plausible(stem: str, limit: float) -> None:
+    bus = next(databases[stem] for databases in PROFILES.values() if stem in databases)
     database = load_database(DIRECTORY / f"{stem}.dbc")
     assert database.dbc is not None
     assert database.dbc.attributes["Baudrate"].value == BIT_RATES[bus]
-    load = bus_load([facts for facts in NETWORK if facts.bus == bus], BIT_RATES[bus])
+    load = bus_load([facts for facts in EVERY if facts.database == stem], BIT_RATES[bus])
     assert 0.05 < load.nominal < load.stuffed < limit
 
 
-@pytest.mark.parametrize("stem", list(DATABASES))
+@pytest.mark.parametrize("stem", STEMS)
 def test_other_can_tools_can_read_it(stem: str) -> None:
     """Names of at most 32 characters, ASCII, values that fit their signals, one value per text."""
     content = (DIRECTORY / f"{stem}.dbc").read_bytes()
     assert content.isascii()
     assert b"\r" not in content
     signals_by_value = defaultdict(list)
-    for facts in NETWORK:
+    for facts in EVERY:
         if facts.database != stem:
             continue
         assert len(facts.message.name) <= 32

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from dbc.buses import DATABASES, DIRECTORY
+from dbc.buses import DIRECTORY, STEMS
 from dbc.errors import ConfigurationError
 from dbc.generate import generate_all, main
 from dbc.network import load_database, load_network
@@ -20,7 +20,7 @@ from dbc.network import load_database, load_network
 def sources(tmp_path: Path) -> Path:
     folder = tmp_path / "dbc"
     folder.mkdir()
-    for stem in DATABASES:
+    for stem in STEMS:
         shutil.copy(DIRECTORY / f"{stem}.dbc", folder)
     return folder
 
@@ -31,8 +31,8 @@ def test_two_runs_are_identical_and_dated_by_hash(tmp_path: Path, sources: Path)
     one = {path.name: path.read_bytes() for path in sorted((tmp_path / "one" / "generated").iterdir())}
     two = {path.name: path.read_bytes() for path in sorted((tmp_path / "two" / "generated").iterdir())}
     assert one == two
-    assert set(one) == {f"{name}.{end}" for name in (*DATABASES, "codec_table", "codec_values_table") for end in "hc"}
-    for stem in DATABASES:
+    assert set(one) == {f"{name}.{end}" for name in (*STEMS, "codec_table", "codec_values_table") for end in "hc"}
+    for stem in STEMS:
         digest = hashlib.sha256((sources / f"{stem}.dbc").read_bytes()).hexdigest().encode()
         for name in (f"{stem}.h", f"{stem}.c", "codec_table.c", "codec_values_table.c"):
             assert digest in one[name], name

@@ -1,4 +1,4 @@
-"""docs/protocol.md is what the DBC files say."""
+"""The protocol pages are what the DBC files say."""
 
 from __future__ import annotations
 
@@ -7,31 +7,38 @@ from pathlib import Path
 
 import pytest
 
+from dbc.buses import PROFILES, Bus
 from dbc.network import load_network
-from dbc.protocol_page import PAGE, bus_load, main, protocol_page
+from dbc.protocol_page import FOLDER, bus_load, main, page_name, protocol_page
 
 
-def test_committed_page_is_up_to_date() -> None:
-    assert PAGE.read_text(encoding="utf-8") == protocol_page(), "run python -m dbc.protocol_page"
+@pytest.mark.parametrize("profile", PROFILES)
+def test_committed_page_is_up_to_date(profile: str) -> None:
+    page = FOLDER / page_name(profile)
+    assert page.read_text(encoding="utf-8") == protocol_page(profile=profile), "run python -m dbc.protocol_page"
 
 
-def test_page_names_every_message_and_signal() -> None:
-    page = protocol_page()
-    for facts in load_network():
-        assert f"### {facts.message.name}\n" in page
+@pytest.mark.parametrize("profile", PROFILES)
+def test_page_names_every_message_and_signal(profile: str) -> None:
+    page = protocol_page(profile=profile)
+    for facts in load_network(profile=profile):
+        shown = profile == "V14" or facts.bus == Bus.CAN1
+        assert (f"### {facts.message.name}\n" in page) == shown
         for signal in facts.message.signals:
-            assert f"| {signal.name} | {signal.start}\\|{signal.length} " in page
+            assert (f"| {signal.name} | {signal.start}\\|{signal.length} " in page) == shown, signal.name
 
 
 def test_check_notices_a_difference(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    page = tmp_path / "protocol.md"
-    assert main(["--out", str(page), "--check"]) == 1
-    assert main(["--out", str(page)]) == 0
-    assert main(["--out", str(page), "--check"]) == 0
+    assert main(["--out", str(tmp_path), "--check"]) == 1
+    assert main(["--out", str(tmp_path)]) == 0
+    assert {path.name for path in tmp_path.iterdir()} == {"protocol.md", "protocol_v26.md"}
+    assert main(["--out", str(tmp_path), "--check"]) == 0
+    page = tmp_path / "protocol_v26.md"
     page.write_text(page.read_text(encoding="utf-8").replace("steering_cmd", "steering_command", 1), encoding="utf-8")
-    assert main(["--out", str(page), "--check"]) == 1
-    assert "out of date" in capsys.readouterr().err
-    assert main(["--out", str(tmp_path / "nowhere" / "protocol.md")]) == 2
+    capsys.readouterr()
+    assert main(["--out", str(tmp_path), "--check"]) == 1
+    assert capsys.readouterr().err == f"{page} is out of date; run python -m dbc.protocol_page\n"
+    assert main(["--out", str(tmp_path / "nowhere")]) == 2
 
 
 def test_load_of_one_message_by_hand() -> None:

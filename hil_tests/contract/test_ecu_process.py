@@ -24,7 +24,7 @@ from bridge.realtime.cycle_log import read_cycle_log
 from bridge.realtime.programs import program
 from bridge.realtime.wired import Cell, WiredIo
 from dbc.buses import Bus, Station
-from dbc.codec import database
+from dbc.codec import database, profile
 from dbc.frames import Frame
 from dbc.network import load_network
 
@@ -63,6 +63,11 @@ def frame(message: str, counter: int = 0, **values: float) -> bytes:
 )
 def test_mistakes_in_the_command_line(name: str, arguments: list[str], line: str):
     assert mistake_of(name, *arguments).startswith(line)
+
+
+def test_profiles_belong_to_the_ecus_on_can1():
+    assert mistake_of("obc", "--profile=V27") == "--profile V27: allowed is one of V14 V26"
+    assert mistake_of("space-drive", "--profile=V26") == "--profile V26: this ECU is not on CAN1"
 
 
 def test_wires_belong_to_the_actuator_ecus(tmp_path: Path):
@@ -193,6 +198,22 @@ def test_an_ecu_asks_for_what_the_files_say_and_speaks_on_its_buses(name: str, t
         spoken = {facts.bus for facts in network if facts.sender == station}
         for bus in spoken:
             assert ecu.peers[bus].packet()
+
+
+@pytest.mark.parametrize(("name", "message"), [("obc", "brake_pressure_cmd"), ("raptor", "misc_report")])
+def test_an_ecu_speaks_the_profile_that_it_is_told(name: str, message: str, tmp_path: Path):
+    """Both messages are longer or fuller in V26; a started onboard computer commands full brake to both axles."""
+    codec = profile("V26").message(message)
+    with EcuProcess(name, tmp_path, "--profile=V26") as ecu:
+        end = monotonic() + LIMIT_S
+        found: list[Frame] = []
+        while not found:
+            assert monotonic() < end
+            found = [one for one in ecu.peers[Bus.CAN1].packet() if one.id == codec.frame_id]
+    assert found[0].dlc == codec.length
+    values = dict(zip(codec.signals, codec.decode(found[0].data), strict=True))
+    if name == "obc":
+        assert (values["F_brake_pressure_cmd"], values["R_brake_pressure_cmd"]) == (6000, 5111)
 
 
 def test_cycles_are_on_the_grid_and_recorded(tmp_path: Path):

@@ -17,10 +17,10 @@ from can.io.canutils import CanutilsLogReader
 from bridge.bus import CHANNELS
 from bridge.recorder import Recorder, Recording
 from bridge.replay import read_log
+from dbc.buses import DATABASES, DIRECTORY
 from dbc.codec import database
 from dbc.errors import ConfigurationError, RaceloopError
 from dbc.frames import FRAME_DTYPE, Bus, Flag
-from dbc.network import DATABASES, DIRECTORY
 
 SEED = 99
 NAMES, UNITS = ["x", "vx"], ["m", "m/s"]

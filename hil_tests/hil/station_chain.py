@@ -20,6 +20,7 @@ from bridge.realtime.truth_file import TruthWriter
 from bridge.realtime.wired import Cell, WiredIo
 from bridge.scenario import Scenario
 from bridge.surroundings import TICK_US, Surroundings
+from dbc.codec import profile
 from dbc.frames import FRAME_SIZE, Bus, Station, frame_array, iterate
 from tools.run import make_autonomy
 
@@ -146,6 +147,8 @@ class Chain:
         lib.obc_init(self.obc)
         lib.raptor_init(self.raptor, ffi.NULL)
         lib.space_drive_init(self.space_drive, ffi.NULL)
+        lib.obc_select_profile(self.obc, profile(scenario.profile).number)
+        lib.raptor_select_profile(self.raptor, profile(scenario.profile).number)
         self._raptor_wires = ffi.new("raptor_wired_in *"), ffi.new("raptor_wired_out *")
         self._space_drive_wires = ffi.new("space_drive_wired_in *"), ffi.new("space_drive_wired_out *")
 

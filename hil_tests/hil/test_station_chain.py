@@ -109,6 +109,17 @@ def test_on_the_buses_of_lock_step_every_frame_is_the_same(scenario: Scenario, r
         assert state.name in visited
 
 
+def test_on_v26_the_stations_drive_the_same(scenario: Scenario, reference: Reference, tmp_path: Path):
+    """The plant station reads the states from frames of another length."""
+    with Chain(replace(scenario, profile="V26"), tmp_path, ByNetwork()) as chain:
+        run_to_the_end(chain)
+        assert chain.plant.ending is Ending.FINISHED
+        rows = truth_of(chain)
+        lengths = {int(frame["id"]): int(frame["dlc"]) for frame in chain.carrier.frames()[-200:]}
+    assert lengths[database.message("misc_report").frame_id] == 6
+    assert np.array_equal(rows[:, 1:], reference.truth)
+
+
 def test_frames_that_take_no_time_drive_the_car_alike(scenario: Scenario, reference: Reference, tmp_path: Path):
     with Chain(scenario, tmp_path, ByHand()) as chain:
         run_to_the_end(chain)

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from dbc._codec import ffi, lib
-from dbc.buses import DATABASES, DIRECTORY
-from dbc.codec import Codec, database
+from dbc.buses import DATABASES, DIRECTORY, PROFILES
+from dbc.codec import Codec, database, profile
 from dbc.errors import CodecError, ConfigurationError
 from dbc.frames import FRAME_DTYPE, FRAME_SIZE, Bus, Flag, Frame, Station, frame_array, iterate
 
@@ -30,6 +30,31 @@ def test_message_knows_its_address_and_timing() -> None:
 
 def test_names_are_unique_over_all_buses() -> None:
     assert len({message.name for message in database}) == len(database) == lib.CODEC_MESSAGE_COUNT
+
+
+def test_a_profile_is_made_once_and_the_cars_own_is_the_database() -> None:
+    assert profile("V14") is database
+    assert profile("V26") is profile("V26") is not database
+    assert [profile(name).profile for name in PROFILES] == ["V14", "V26"]
+    names = [ffi.string(lib.codec_values_profiles[number].name).decode() for number in range(lib.CODEC_PROFILE_COUNT)]
+    assert names == list(PROFILES)
+    with pytest.raises(CodecError, match=r"^no profile is called 'V27'; there are V14, V26$"):
+        profile("V27")
+
+
+def test_profiles_accept_their_own_frames() -> None:
+    """misc_report grew by a byte: the longer one passes for both, the shorter one for V14 alone."""
+    new, old = profile("V26"), database
+    frames = frame_array(
+        old.message("misc_report").frame(13.2, 9, 1, 7, 4) + new.message("misc_report").frame(13.2, 9, 1, 8, 4, 50)
+    )
+    assert old.identify(frames).tolist() == [old.message("misc_report").index] * 2
+    assert new.identify(frames).tolist() == [lib.CODEC_SHORT_FRAME, new.message("misc_report").index]
+    assert new.message("misc_report").decode(frames["data"][1].tobytes()[:6]) == pytest.approx((13.2, 9, 1, 8, 4, 50))
+    novatel = frame_array(new.message("novatel_report").frame(36.27, -115.01))
+    assert old.identify(novatel).tolist() == [lib.CODEC_UNKNOWN_ID]
+    assert list(new.decode_columns(novatel)) == ["novatel_report"]
+    assert new.find(Bus.CAN3, 32).frame_id == old.find(Bus.CAN3, 32).frame_id == 32  # type: ignore[union-attr]
 
 
 def test_frame_holds_address_time_and_data() -> None:
@@ -185,12 +210,18 @@ def test_changed_or_missing_dbc_file_is_noticed(tmp_path: Path) -> None:
 
 def test_generic_functions_refuse_an_unknown_message() -> None:
     values, data, frame = ffi.new("double[64]"), ffi.new("uint8_t[8]"), ffi.new("can_frame *")
-    for index in (lib.CODEC_MESSAGE_COUNT, 2**32 - 1):
-        assert lib.codec_values_encode(index, values, data) == lib.CODEC_UNKNOWN_ID
-        assert lib.codec_values_decode(index, data, 8, values) == lib.CODEC_UNKNOWN_ID
-        assert lib.codec_values_frame(index, 0, 0, values, frame) == lib.CODEC_UNKNOWN_ID
-        assert lib.codec_values_frames(index, ffi.NULL, 0, values, 1, frame) == lib.CODEC_UNKNOWN_ID
-        assert lib.codec_values_decode_columns(index, frame, ffi.NULL, 0, values) == lib.CODEC_UNKNOWN_ID
+    first, last = lib.CODEC_PROFILE_V14, lib.CODEC_PROFILE_V26
+    for where in (
+        (first, len(database)),
+        (last, len(profile("V26"))),
+        (first, 2**32 - 1),
+        (lib.CODEC_PROFILE_COUNT, 0),
+    ):
+        assert lib.codec_values_encode(*where, values, data) == lib.CODEC_UNKNOWN_ID
+        assert lib.codec_values_decode(*where, data, 8, values) == lib.CODEC_UNKNOWN_ID
+        assert lib.codec_values_frame(*where, 0, 0, values, frame) == lib.CODEC_UNKNOWN_ID
+        assert lib.codec_values_frames(*where, ffi.NULL, 0, values, 1, frame) == lib.CODEC_UNKNOWN_ID
+        assert lib.codec_values_decode_columns(*where, frame, ffi.NULL, 0, values) == lib.CODEC_UNKNOWN_ID
     assert not any(values)
-    assert lib.codec_values_frames(STEERING.index, ffi.NULL, 0, values, 1, frame) == lib.CODEC_OK
+    assert lib.codec_values_frames(first, STEERING.index, ffi.NULL, 0, values, 1, frame) == lib.CODEC_OK
     assert (frame.id, frame.time_us) == (1402, 0)

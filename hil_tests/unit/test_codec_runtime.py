@@ -71,6 +71,27 @@ def test_find_returns_every_row_and_nothing_else() -> None:
         assert lib.codec_find(lib.CAN_BUS_COUNT, row.id, bool(row.extended)) == ffi.NULL
 
 
+@pytest.mark.parametrize("number", range(lib.CODEC_PROFILE_COUNT))
+def test_every_profile_finds_its_own_rows(number: int) -> None:
+    profile = lib.codec_profiles + number
+    rows = profile.messages
+    for index in range(profile.count):
+        row = rows[index]
+        assert lib.codec_find_in(profile, row.bus, row.id, bool(row.extended)) == rows + index
+        assert lib.codec_find_in(profile, row.bus, row.id, not row.extended) == ffi.NULL
+    if number == lib.CODEC_PROFILE_V14:
+        assert rows == ffi.addressof(lib.codec_table, 0)
+
+
+def test_a_profile_accepts_by_its_own_lengths() -> None:
+    """misc_report has five bytes in V14 and six in V26."""
+    message = ffi.new("const codec_message **")
+    frame = c_frame(Frame(0, 1304, Bus.CAN1, 5, 0, Station.NONE, bytes(8)).pack())
+    assert lib.codec_accept(frame, message) == lib.CODEC_OK
+    assert lib.codec_accept_in(lib.codec_profiles + lib.CODEC_PROFILE_V26, frame, message) == lib.CODEC_SHORT_FRAME
+    assert message[0].dlc == 6
+
+
 @pytest.mark.parametrize("bus", list(Bus))
 def test_find_knows_exactly_the_ids_of_its_bus(bus: Bus) -> None:
     known = {message.frame_id for message in database if message.bus == bus and not message.extended}

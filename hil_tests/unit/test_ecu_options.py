@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 
 from bridge._native import ffi, lib
+from dbc.codec import profile
 from dbc.frames import Bus
 
 NOW_NS = 5_000_000_000_000
@@ -47,6 +48,7 @@ def test_defaults():
     assert (options.priority, options.cpu, options.cycles) == (0, -1, 60_000)
     assert (parsed.text("wired"), parsed.text("cycle_log")) == (None, None)
     assert (options.with_parent, options.help) == (False, False)
+    assert options.profile == profile("V14").number
 
 
 @pytest.mark.parametrize("equals", [True, False])
@@ -55,7 +57,7 @@ def test_every_word(equals: bool):
         ("--bus", "CAN1=socketcan:vcan0"), ("--bus", "CANS=socketcan:vcan3"), ("--bus", "CAN3=hub:/a=b"),
         ("--bus", "CANA=hub:/run/hub"), ("--epoch", "123"), ("--phase", "1500"), ("--period", "1000"),
         ("--priority", "80"), ("--cpu", "3"), ("--wired", "/run/wires"), ("--cycle-log", "/run/log"),
-        ("--cycles", "500"),
+        ("--cycles", "500"), ("--profile", "V26"),
     ]  # fmt: skip
     arguments = [f"{word}={value}" for word, value in words] if equals else [part for pair in words for part in pair]
     parsed = Parsed(*arguments, "--with-parent")
@@ -66,6 +68,7 @@ def test_every_word(equals: bool):
     options = parsed.c
     assert (options.epoch_ns, options.phase_us, options.period_us) == (123, 1500, 1000)
     assert (options.priority, options.cpu, options.cycles) == (80, 3, 500)
+    assert options.profile == profile("V26").number
     assert (parsed.text("wired"), parsed.text("cycle_log")) == ("/run/wires", "/run/log")
     assert options.with_parent
 
@@ -134,6 +137,16 @@ def test_wires_of_an_ecu_that_has_none():
     assert Parsed(BUS, "--wired", "/x", wires=False).mistake == "--wired /x: this ECU has no wires to the plant"
 
 
+@pytest.mark.parametrize("value", ["", "v26", "V2", "V260", "V27"])
+def test_profiles_that_do_not_exist(value: str):
+    assert Parsed(BUS, "--profile", value).mistake == f"--profile {value}: allowed is one of V14 V26"
+
+
+def test_a_profile_of_an_ecu_that_is_not_on_can1():
+    parsed = Parsed("--bus=CAN3=hub:/x", "--profile=V26", buses=1 << Bus.CAN3)
+    assert parsed.mistake == "--profile V26: this ECU is not on CAN1"
+
+
 def test_a_mistake_of_any_length_is_one_short_line():
     for argument in ("x" * 5000, "--bus=" + "x" * 5000, "--cpu=" + "9" * 5000):
         assert 0 < len(Parsed(argument).mistake) < lib.ECU_MISTAKE_MAX
@@ -143,7 +156,8 @@ def test_help_comes_first_and_names_every_word():
     parsed = Parsed("--help", "nonsense")
     assert (parsed.error, parsed.c.help) == (0, True)
     text = ffi.string(lib.ecu_options_help()).decode()
-    words = ["bus", "epoch", "phase", "period", "priority", "cpu", "wired", "cycle-log", "cycles", "with-parent"]
+    words = ["bus", "epoch", "phase", "period", "priority", "cpu", "wired", "cycle-log", "cycles"]
+    words += ["profile", "with-parent"]
     assert [line.split()[0] for line in text.splitlines()] == [f"--{word}" for word in words]
 
 

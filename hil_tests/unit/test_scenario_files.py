@@ -11,6 +11,7 @@ import yaml
 
 import scenarios
 from bridge.scenario import Condition, load_scenario, load_vehicle
+from dbc.buses import DEFAULT_PROFILE, PROFILES
 from dbc.errors import ConfigurationError
 from dbc.states import CtState, SysState, TrackFlag, VehicleFlag
 
@@ -46,6 +47,15 @@ def write(folder: Path, content: object) -> Path:
     path = folder / "scenario.yaml"
     path.write_text(yaml.safe_dump(content))
     return path
+
+
+def test_a_scenario_is_of_v14_unless_it_says_otherwise(folder: Path) -> None:
+    assert load_scenario(write(folder, GOOD)).profile == DEFAULT_PROFILE
+    for name in PROFILES:
+        assert load_scenario(write(folder, GOOD | {"profile": name})).profile == name
+    with pytest.raises(ConfigurationError) as caught:
+        load_scenario(write(folder, GOOD | {"profile": "V12"}))
+    assert (caught.value.key, caught.value.problem) == ("profile", f"is 'V12'; allowed are {', '.join(PROFILES)}")
 
 
 def changed(*keys: str | int, value: Any = None, remove: bool = False) -> dict[str, Any]:

@@ -9,6 +9,7 @@ from xml.etree import ElementTree
 
 from rich.console import Console
 
+from dbc.codec import Codec
 from tools.dbw.bus_option import bus_of
 from tools.dbw.conformance import Conformance, Finding, Place, Rule
 from tools.dbw.log_source import read_chunks
@@ -24,8 +25,8 @@ class Outputs:
     junit: Path | None = None
 
 
-def check(path: Path, bus: str | None, outputs: Outputs, console: Console) -> int:
-    """Check a recording and print what was found; returns the exit status, a miss when there is something.
+def check(database: Codec, path: Path, bus: str | None, outputs: Outputs, console: Console) -> int:
+    """Check a recording by a profile and print what was found; returns the exit status, a miss when there is something.
 
     Raises
     ------
@@ -33,7 +34,7 @@ def check(path: Path, bus: str | None, outputs: Outputs, console: Console) -> in
         When the recording cannot be read at all, the bus does not exist, or a file cannot be written.
     """
     chosen = None if bus is None else bus_of(bus)
-    conformance = Conformance()
+    conformance = Conformance(database)
 
     def broken(frame: int, text: str) -> None:
         conformance.note(Place(Rule.BROKEN), 1, frame, 0, text)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from rich.console import Console
 
 from dbc.buses import Bus
-from dbc.codec import MessageCodec, database
+from dbc.codec import Codec, MessageCodec
 from dbc.errors import CodecError
 from tools.dbw.bus_option import bus_of
 from tools.dbw.frame_text import TextFrame, parse_frame
@@ -13,8 +13,15 @@ from tools.dbw.page import finished, page, remarks_on
 from tools.exit_status import ExitStatus
 
 
-def decode(text: str, bus: str | None, console: Console) -> int:
+def decode(database: Codec, text: str, bus: str | None, console: Console) -> int:
     """Print what a frame says; on each bus that has a message of its identifier, unless one bus is named.
+
+    Parameters
+    ----------
+    database : messages of a profile.
+    text : the frame.
+    bus : its label; None for all.
+    console : to print on.
 
     Returns
     -------
@@ -28,7 +35,7 @@ def decode(text: str, bus: str | None, console: Console) -> int:
     """
     frame = parse_frame(text)
     status = ExitStatus.DONE
-    for number, codec in enumerate(_messages(frame, bus)):
+    for number, codec in enumerate(_messages(database, frame, bus)):
         codec.decode(frame.data)  # names the length when it is too short
         data = frame.data[: codec.length]
         remarks = remarks_on(codec, data)
@@ -44,7 +51,7 @@ def decode(text: str, bus: str | None, console: Console) -> int:
     return status
 
 
-def _messages(frame: TextFrame, bus: str | None) -> list[MessageCodec]:
+def _messages(database: Codec, frame: TextFrame, bus: str | None) -> list[MessageCodec]:
     """The messages that a frame can be."""
     buses = list(Bus) if bus is None else [bus_of(bus)]
     found = [codec for one in buses if (codec := database.find(one, frame.frame_id, frame.extended)) is not None]

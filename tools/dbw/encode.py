@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from rich.console import Console
 
-from dbc.codec import MessageCodec, database
+from dbc.codec import Codec, MessageCodec
 from dbc.errors import CodecError
 from tools.dbw.page import finished, page, remarks_on
 from tools.exit_status import ExitStatus
@@ -16,8 +16,15 @@ from tools.exit_status import ExitStatus
 _ON_A_STEP = 1e-6
 
 
-def encode(name: str, assignments: Sequence[str], console: Console) -> int:
+def encode(database: Codec, name: str, assignments: Sequence[str], console: Console) -> int:
     """Print the frame of a message; signals that are not given have the raw value 0, a CRC is computed.
+
+    Parameters
+    ----------
+    database : messages of a profile.
+    name : of the message.
+    assignments : SIGNAL=VALUE each.
+    console : to print on.
 
     Raises
     ------
@@ -28,7 +35,7 @@ def encode(name: str, assignments: Sequence[str], console: Console) -> int:
     given = _given(codec, assignments)
     signals = codec.definition.signals
     data = codec.encode(*(given.get(signal.name, signal.offset) for signal in signals))[: codec.length]
-    facts = database.facts(name)
+    facts = codec.facts
     remarks = remarks_on(codec, data)
     if facts.crc is not None and facts.crc.name not in given:
         data = finished(codec, data)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dbc.codec import MessageCodec, database
+from dbc.codec import MessageCodec
 from dbc.frames import Flag, Frame
 from tools.dbw.frame_text import TextFrame
 from tools.dbw.layout import LETTERS, describe, picture, places
@@ -62,7 +62,7 @@ def remarks_on(codec: MessageCodec, data: bytes) -> list[str]:
 
 def finished(codec: MessageCodec, data: bytes) -> bytes:
     """The data with the CRC that its sender would write; the same where the message has none."""
-    facts = database.facts(codec.name)
+    facts = codec.facts
     if facts.crc is None:
         return data
     flags = Flag.EXTENDED if codec.extended else 0

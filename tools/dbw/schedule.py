@@ -8,7 +8,8 @@ from rich.console import Console
 
 from bridge.bus import BIT_RATES
 from bridge.response_time import PeriodicMessage, load, longest_ns, response_times_ns
-from dbc.codec import MessageCodec, database
+from dbc.buses import Bus
+from dbc.codec import Codec, MessageCodec
 from dbc.errors import CodecError
 from tools.dbw.bus_option import bus_of
 from tools.exit_status import ExitStatus
@@ -41,19 +42,24 @@ class ScheduledMessage:
         return self.response_ns is not None and self.response_ns <= self.cycle_ns
 
 
-def analyse(codecs: list[MessageCodec], bit_rate: int, all_at_ns: int | None) -> tuple[float, list[ScheduledMessage]]:
+def messages_of(database: Codec, bus: Bus) -> list[MessageCodec]:
+    """Those on one bus."""
+    return [codec for codec in database if codec.bus is bus]
+
+
+def analyse(database: Codec, bus: Bus, bit_rate: int, all_at_ns: int | None) -> tuple[float, list[ScheduledMessage]]:
     """Load of the bus, and every message in order of importance; those without a cycle are left out.
 
     Parameters
     ----------
-    codecs : of one bus.
+    database, bus : the messages, and which of them.
     bit_rate : bit/s, a divisor of 1e9.
     all_at_ns : cycle of all of them, those without one included; None: as the DBC file says.
     """
     bit_ns = 10**9 // bit_rate
     # 29-bit identifiers lose against 11-bit ones of the same first bits, as in arbitration.
     ordered = sorted(
-        codecs, key=lambda codec: (codec.frame_id if codec.extended else codec.frame_id << 18, codec.extended)
+        messages_of(database, bus), key=lambda codec: (codec.frame_id if codec.extended else codec.frame_id << 18, codec.extended)
     )
     chosen: list[tuple[MessageCodec, int]] = []
     for codec in ordered:
@@ -75,7 +81,7 @@ def analyse(codecs: list[MessageCodec], bit_rate: int, all_at_ns: int | None) ->
     return load(periodic), rows
 
 
-def schedule(bus: str, bit_rate: int | None, all_at_ms: float | None, console: Console) -> int:
+def schedule(database: Codec, bus: str, bit_rate: int | None, all_at_ms: float | None, console: Console) -> int:
     """Print the messages and the verdict; returns the exit status, a miss when something does not fit.
 
     Raises
@@ -87,8 +93,7 @@ def schedule(bus: str, bit_rate: int | None, all_at_ms: float | None, console: C
     rate = BIT_RATES[chosen] if bit_rate is None else bit_rate
     if not _RATES[0] <= rate <= _RATES[1] or 10**9 % rate:
         raise CodecError(f"--bit-rate {rate}; allowed are divisors of 1000000000 from {_RATES[0]} to {_RATES[1]}")
-    codecs = [codec for codec in database if codec.bus is chosen]
-    part, rows = analyse(codecs, rate, None if all_at_ms is None else round(all_at_ms * _MS))
+    part, rows = analyse(database, chosen, rate, None if all_at_ms is None else round(all_at_ms * _MS))
     console.print(f"{'message':<28}   id  bytes  cycle ms  longest ms  worst case ms", markup=False)
     for row in rows:
         codec = row.codec
@@ -101,7 +106,7 @@ def schedule(bus: str, bit_rate: int | None, all_at_ms: float | None, console: C
         )
     late = sum(not row.fits for row in rows)
     verdict = "all are through before their next ones" if not late else f"{late} of {len(rows)} do not fit"
-    events = len(codecs) - len(rows)
+    events = len(messages_of(database, chosen)) - len(rows)
     beside = f"; {events} that {'is' if events == 1 else 'are'} sent on events not counted" if events else ""
     console.print(
         f"{bus} at {rate} bit/s: load {part:.1%} with all frames at their longest; {verdict}{beside}", markup=False

@@ -24,6 +24,8 @@ enum loss {
 
 uint32_t ecu_bus_filters(uint8_t station, uint8_t bus, can_link_filter *filters)
 {
+    /* By V14, whatever profile is spoken: identifiers are the same, and what others have besides tells the ECUs
+     * nothing. */
     uint32_t count = 0U;
     for (uint32_t i = 0U; i < codec_table_count; i++) {
         const codec_message *message = &codec_table[i];

@@ -4,6 +4,9 @@
 #include <stdio.h>
 #include <string.h>
 
+#include "generated/codec_table.h"
+#include "generated/codec_values_table.h"
+
 enum {
     NAME_MAX_LENGTH = 16,
     DEFAULT_CYCLES = 60000, /* ten minutes at 100 Hz */
@@ -144,10 +147,28 @@ static int32_t take_cycles(ecu_options *self, const ecu_sockets *sockets, const 
     return error;
 }
 
+static int32_t take_profile(ecu_options *self, const ecu_sockets *sockets, const char *value, char *mistake)
+{
+    if ((sockets->buses >> CAN_BUS_1 & 1U) == 0U) {
+        return refuse(mistake, "profile", value, "this ECU is not on CAN1");
+    }
+    char allowed[64] = "allowed is one of";
+    for (uint8_t i = 0U; i < CODEC_PROFILE_COUNT; i++) {
+        const char *name = codec_values_profiles[i].name;
+        if (strcmp(value, name) == 0) {
+            self->profile = i;
+            return 0;
+        }
+        const size_t end = strlen(allowed);
+        (void)snprintf(&allowed[end], sizeof allowed - end, " %s", name);
+    }
+    return refuse(mistake, "profile", value, allowed);
+}
+
 static const option_row rows[] = {
-    {"bus", take_bus},       {"epoch", take_epoch},         {"phase", take_phase},
-    {"period", take_period}, {"priority", take_priority},   {"cpu", take_cpu},
-    {"wired", take_wired},   {"cycle-log", take_cycle_log}, {"cycles", take_cycles},
+    {"bus", take_bus},           {"epoch", take_epoch},     {"phase", take_phase}, {"period", take_period},
+    {"priority", take_priority}, {"cpu", take_cpu},         {"wired", take_wired}, {"cycle-log", take_cycle_log},
+    {"cycles", take_cycles},     {"profile", take_profile},
 };
 
 const char *ecu_options_help(void)
@@ -161,6 +182,7 @@ const char *ecu_options_help(void)
            "  --wired FILE        wires to the plant (Raptor and Space Drive)\n"
            "  --cycle-log FILE    write what each cycle took\n"
            "  --cycles N          cycles that the log keeps (default: 60000)\n"
+           "  --profile NAME      layout of CAN1: V14 or V26 (default: V14)\n"
            "  --with-parent       stop when the parent process ends\n";
 }
 

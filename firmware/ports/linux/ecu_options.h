@@ -26,6 +26,7 @@ typedef struct ecu_options {
     uint32_t cycles;    /* records that the cycle log keeps, 1..10000000 */
     int32_t priority;   /* SCHED_FIFO 1..99; 0: none */
     int32_t cpu;        /* 0..1023; -1: any */
+    uint8_t profile;    /* of CAN1, enum codec_profile_index */
     bool with_parent;   /* stop when the parent ends */
     bool help;          /* nothing else counts */
 } ecu_options;

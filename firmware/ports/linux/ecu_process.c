@@ -200,6 +200,9 @@ static int32_t set_up(ecu_process *self)
         process_log("%s", text);
         return ECU_EXIT_MISTAKE;
     }
+    if (self->image->select_profile != NULL) {
+        (void)self->image->select_profile(options->profile); /* the parser lets only those pass that there are */
+    }
     int32_t status = open_buses(self);
     status = status == 0 ? open_wires(self) : status;
     status = status == 0 ? open_log(self) : status;

@@ -11,6 +11,7 @@
 #ifndef RACELOOP_PORT_ECU_PROCESS_H
 #define RACELOOP_PORT_ECU_PROCESS_H
 
+#include <stdbool.h>
 #include <stdint.h>
 
 #include "common/can_frame.h"
@@ -36,6 +37,7 @@ typedef struct ecu_image {
     uint32_t task_count; /* at most EXECUTIVE_TASKS_MAX */
     void (*tick)(uint64_t now_us, const can_frame *in, uint32_t in_count, can_outbox *out);
     void (*stop)(void);
+    bool (*select_profile)(uint8_t profile); /* enum codec_profile_index; null without CAN1 */
 } ecu_image;
 
 /* Run until stopped. argument_count and arguments as main gets them. Returns the exit status. */

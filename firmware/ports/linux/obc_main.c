@@ -21,6 +21,11 @@ static void stop(void)
     obc_stop(&computer);
 }
 
+static bool select_profile(uint8_t profile)
+{
+    return obc_select_profile(&computer, profile);
+}
+
 int main(int argument_count, char **arguments)
 {
     static const ecu_image image = {
@@ -32,6 +37,7 @@ int main(int argument_count, char **arguments)
         .task_count = OBC_TASK_COUNT,
         .tick = tick,
         .stop = stop,
+        .select_profile = select_profile,
     };
     obc_init(&computer);
     return ecu_process_run(&image, argument_count, arguments);

@@ -22,6 +22,11 @@ static void stop(void)
     raptor_stop(&controller);
 }
 
+static bool select_profile(uint8_t profile)
+{
+    return raptor_select_profile(&controller, profile);
+}
+
 int main(int argument_count, char **arguments)
 {
     static const ecu_image image = {
@@ -37,6 +42,7 @@ int main(int argument_count, char **arguments)
         .task_count = sizeof task_names / sizeof task_names[0],
         .tick = tick,
         .stop = stop,
+        .select_profile = select_profile,
     };
     raptor_init(&controller, NULL);
     return ecu_process_run(&image, argument_count, arguments);
