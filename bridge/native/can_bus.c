@@ -29,6 +29,17 @@ static uint64_t later(uint64_t one, uint64_t other)
     return one > other ? one : other;
 }
 
+/* Place of the lowest bit of a mask that is not 0: loops over nodes go from bit to bit, since mostly few are set. */
+static uint8_t lowest(uint32_t mask)
+{
+    return (uint8_t)__builtin_ctz(mask);
+}
+
+static uint32_t bit_of(uint8_t node)
+{
+    return UINT32_C(1) << node;
+}
+
 static bool takes_part(const can_bus_node *node)
 {
     return (node->state == CAN_BUS_ERROR_ACTIVE || node->state == CAN_BUS_ERROR_PASSIVE) &&
@@ -74,8 +85,9 @@ static void release_slot(can_bus_model *self, uint16_t slot)
 }
 
 /* Throw the queue of a node away, but for what is on the wire. */
-static void cancel(can_bus_model *self, can_bus_node *node)
+static void cancel(can_bus_model *self, uint8_t index)
 {
+    can_bus_node *node = &self->nodes[index];
     uint16_t kept = 0;
     for (uint16_t i = 0; i < node->pending_count; i++) {
         if (node->pending[i] == node->sending) {
@@ -87,12 +99,15 @@ static void cancel(can_bus_model *self, can_bus_node *node)
         }
     }
     node->pending_count = kept;
+    if (kept == 0) {
+        self->waiting &= ~bit_of(index);
+    }
 }
 
 void can_bus_flush(can_bus_model *self, uint8_t node)
 {
     if (node < CAN_BUS_NODES_MAX) {
-        cancel(self, &self->nodes[node]);
+        cancel(self, node);
     }
 }
 
@@ -101,6 +116,8 @@ void can_bus_leave(can_bus_model *self, uint8_t node)
     can_bus_flush(self, node);
     if (node < CAN_BUS_NODES_MAX) {
         self->nodes[node].state = CAN_BUS_ABSENT;
+        self->off &= ~bit_of(node);
+        self->counting &= ~bit_of(node);
     }
 }
 
@@ -137,6 +154,7 @@ bool can_bus_submit(can_bus_model *self, uint8_t node_index, const can_bus_frame
             (size_t)(node->pending_count - place) * sizeof node->pending[0]);
     node->pending[place] = index;
     node->pending_count++;
+    self->waiting |= bit_of(node_index);
     return true;
 }
 
@@ -196,13 +214,15 @@ static bool recovering(const can_bus_node *node)
 static uint64_t next_start_ns(const can_bus_model *self)
 {
     uint64_t next_ns = UINT64_MAX;
-    for (uint32_t i = 0; i < self->node_count; i++) {
-        const can_bus_node *node = &self->nodes[i];
-        if (node->pending_count == 0 && node->state != CAN_BUS_OFF) {
-            continue;
-        }
-        const uint64_t time_ns = recovering(node) ? recovered_ns(self, node) : earliest_ns(self, node);
+    for (uint32_t left = self->waiting; left != 0; left &= left - 1U) {
+        const uint64_t time_ns = earliest_ns(self, &self->nodes[lowest(left)]);
         next_ns = time_ns < next_ns ? time_ns : next_ns;
+    }
+    for (uint32_t left = self->off; left != 0; left &= left - 1U) {
+        const can_bus_node *node = &self->nodes[lowest(left)];
+        if (recovering(node) && recovered_ns(self, node) < next_ns) {
+            next_ns = recovered_ns(self, node);
+        }
     }
     return next_ns;
 }
@@ -403,27 +423,28 @@ static void start(can_bus_model *self, uint64_t start_ns, uint8_t winner, uint32
 static void arbitrate(can_bus_model *self, uint64_t start_ns)
 {
     uint8_t winner = CAN_BUS_NOBODY;
-    uint32_t lowest = 0;
+    uint32_t best = 0;
     uint32_t senders = 0;
-    for (uint8_t i = 0; i < self->node_count; i++) {
+    for (uint32_t left = self->waiting; left != 0; left &= left - 1U) {
+        const uint8_t i = lowest(left);
         can_bus_node *node = &self->nodes[i];
-        node->sending = node->pending_count > 0 ? candidate(self, node, start_ns) : CAN_BUS_NO_SLOT;
+        node->sending = candidate(self, node, start_ns);
         if (node->sending == CAN_BUS_NO_SLOT) {
             continue;
         }
         const uint32_t arbitration = can_wire_arbitration(&self->slots[node->sending].content.frame);
-        if (winner == CAN_BUS_NOBODY || arbitration < lowest) {
+        if (winner == CAN_BUS_NOBODY || arbitration < best) {
             winner = i;
-            lowest = arbitration;
-            senders = UINT32_C(1) << i;
-        } else if (arbitration == lowest) {
-            senders |= UINT32_C(1) << i;
+            best = arbitration;
+            senders = 0;
         }
+        senders |= arbitration == best ? bit_of(i) : 0U;
     }
     uint32_t collision = 0;
-    for (uint8_t i = 0; i < self->node_count; i++) {
+    for (uint32_t left = self->waiting; left != 0; left &= left - 1U) {
+        const uint8_t i = lowest(left);
         can_bus_node *node = &self->nodes[i];
-        if ((senders >> i & 1U) == 0) {
+        if ((senders & bit_of(i)) == 0) {
             node->sending = CAN_BUS_NO_SLOT;
         } else if (i != winner) {
             const can_bus_frame *one = &self->slots[self->nodes[winner].sending].content;
@@ -439,8 +460,8 @@ static void arbitrate(can_bus_model *self, uint64_t start_ns)
 /* The bus goes from idle to busy: those who are off it count the sequences of recessive bits that are over. */
 static void count_recessive(can_bus_model *self, uint64_t now_ns)
 {
-    for (uint32_t i = 0; i < self->node_count; i++) {
-        can_bus_node *node = &self->nodes[i];
+    for (uint32_t left = self->off; left != 0; left &= left - 1U) {
+        can_bus_node *node = &self->nodes[lowest(left)];
         if (recovering(node) && now_ns > quiet_since_ns(self, node)) {
             const uint64_t over = (now_ns - quiet_since_ns(self, node)) / ((uint64_t)RECOVERY_BITS * self->bit_ns);
             node->recovery_left = (uint16_t)(over < node->recovery_left ? node->recovery_left - over : 0U);
@@ -483,24 +504,35 @@ void can_bus_report(const can_bus_model *self, uint8_t index, uint32_t id, uint6
     out->frame.data[7] = (uint8_t)(node->receive_errors < 255U ? node->receive_errors : 255U);
 }
 
-static void settle_state(can_bus_node *node)
+/* State and masks follow from the counters of a node that is on the bus. */
+static void settle_state(can_bus_model *self, uint8_t index)
 {
-    if (takes_part(node)) {
-        const bool passive = node->transmit_errors >= PASSIVE_LIMIT || node->receive_errors >= PASSIVE_LIMIT;
-        node->state = passive ? CAN_BUS_ERROR_PASSIVE : CAN_BUS_ERROR_ACTIVE;
+    can_bus_node *node = &self->nodes[index];
+    if (!takes_part(node)) {
+        return;
+    }
+    const bool passive = node->transmit_errors >= PASSIVE_LIMIT || node->receive_errors >= PASSIVE_LIMIT;
+    node->state = passive ? CAN_BUS_ERROR_PASSIVE : CAN_BUS_ERROR_ACTIVE;
+    if (node->transmit_errors > 0 || node->receive_errors > 0) {
+        self->counting |= bit_of(index);
+    } else {
+        self->counting &= ~bit_of(index);
     }
 }
 
-static void count_transmit_error(can_bus_model *self, can_bus_node *node, uint16_t cause, uint64_t time_ns)
+static void count_transmit_error(can_bus_model *self, uint8_t index, uint16_t cause, uint64_t time_ns)
 {
+    can_bus_node *node = &self->nodes[index];
     /* A passive sender that nobody acknowledges may be alone: it does not count itself off the bus. */
     if (cause == CAN_BUS_ERROR_NO_ACK && node->state == CAN_BUS_ERROR_PASSIVE) {
         return;
     }
     node->transmit_errors = (uint16_t)(node->transmit_errors + TRANSMIT_ERROR);
     if (node->transmit_errors >= OFF_LIMIT) {
-        cancel(self, node);
+        cancel(self, index);
         node->state = CAN_BUS_OFF;
+        self->off |= bit_of(index);
+        self->counting &= ~bit_of(index);
         node->recovery_left = RECOVERY_COUNT;
         node->ready_ns = node->restart_ns > 0 ? time_ns + node->restart_ns : UINT64_MAX;
     }
@@ -533,28 +565,34 @@ static can_bus_message *message_row(can_bus_model *self, const can_frame *frame)
 }
 
 /* A frame has gone through: take it out of the queue of its node. */
-static void take_out(can_bus_model *self, can_bus_node *node, uint16_t slot)
+static void take_out(can_bus_model *self, uint8_t index)
 {
+    can_bus_node *node = &self->nodes[index];
     uint16_t place = node->pending_count;
-    while (place > 0 && node->pending[place - 1U] != slot) {
+    while (place > 0 && node->pending[place - 1U] != node->sending) {
         place--;
     }
     if (place > 0) {
         memmove(&node->pending[place - 1U], &node->pending[place],
                 (size_t)(node->pending_count - place) * sizeof node->pending[0]);
         node->pending_count--;
-        release_slot(self, slot);
+        release_slot(self, node->sending);
     }
+    if (node->pending_count == 0) {
+        self->waiting &= ~bit_of(index);
+    }
+    node->sending = CAN_BUS_NO_SLOT;
 }
 
 /* What an end of transmission leaves in a sender: who is passive waits, and who has left has nothing to send. */
-static void settle_sender(can_bus_model *self, can_bus_node *node)
+static void settle_sender(can_bus_model *self, uint8_t index)
 {
-    settle_state(node);
+    can_bus_node *node = &self->nodes[index];
+    settle_state(self, index);
     if (node->state == CAN_BUS_ERROR_PASSIVE) {
         node->ready_ns = self->wire_now.free_ns + (uint64_t)SUSPEND_BITS * self->bit_ns;
     } else if (node->state == CAN_BUS_ABSENT) {
-        cancel(self, node);
+        cancel(self, index);
     }
 }
 
@@ -573,18 +611,22 @@ static void finish_sent(can_bus_model *self, can_bus_frame *out)
         row->worst_queueing_ns = later(row->worst_queueing_ns, queueing_ns);
         row->worst_response_ns = later(row->worst_response_ns, now->end_ns - slot->release_ns);
     }
-    for (uint8_t i = 0; i < self->node_count; i++) {
+    for (uint32_t left = now->senders; left != 0; left &= left - 1U) {
+        const uint8_t i = lowest(left);
         can_bus_node *node = &self->nodes[i];
-        if ((now->senders >> i & 1U) != 0) {
-            take_out(self, node, node->sending);
-            node->sending = CAN_BUS_NO_SLOT;
-            node->transmit_errors = node->transmit_errors > 0 ? (uint16_t)(node->transmit_errors - 1U) : 0U;
-            settle_sender(self, node);
-        } else if (node->receive_errors > 0 && takes_part(node)) {
-            node->receive_errors =
-                node->receive_errors >= PASSIVE_LIMIT ? PASSIVE_LIMIT - 1U : (uint16_t)(node->receive_errors - 1U);
-            settle_state(node);
+        take_out(self, i);
+        node->transmit_errors = node->transmit_errors > 0 ? (uint16_t)(node->transmit_errors - 1U) : 0U;
+        settle_sender(self, i);
+    }
+    for (uint32_t left = self->counting & ~now->senders; left != 0; left &= left - 1U) {
+        const uint8_t i = lowest(left);
+        can_bus_node *node = &self->nodes[i];
+        if (node->receive_errors >= PASSIVE_LIMIT) {
+            node->receive_errors = PASSIVE_LIMIT - 1U;
+        } else if (node->receive_errors > 0) {
+            node->receive_errors--;
         }
+        settle_state(self, i);
     }
 }
 
@@ -597,13 +639,13 @@ static void finish_destroyed(can_bus_model *self, can_bus_frame *out)
         if ((now->senders >> i & 1U) != 0) {
             node->sending = CAN_BUS_NO_SLOT;
             if (node->state != CAN_BUS_ABSENT) {
-                count_transmit_error(self, node, now->cause, now->free_ns);
+                count_transmit_error(self, i, now->cause, now->free_ns);
             }
-            settle_sender(self, node);
+            settle_sender(self, i);
         } else if (takes_part(node)) {
             /* Who saw the error first finds a dominant bit behind its flag: the echo of the others. */
             count_receive_error(node, i == now->first_error ? 1U + TRANSMIT_ERROR : 1U);
-            settle_state(node);
+            settle_state(self, i);
         }
     }
     const bool off = self->nodes[now->winner].state == CAN_BUS_OFF;
@@ -641,7 +683,8 @@ static void finish(can_bus_model *self, can_bus_frame *out)
 /* A node whose recovery is over at a time, or CAN_BUS_NOBODY. */
 static uint8_t recovered_at(const can_bus_model *self, uint64_t time_ns)
 {
-    for (uint8_t i = 0; i < self->node_count; i++) {
+    for (uint32_t left = self->off; left != 0; left &= left - 1U) {
+        const uint8_t i = lowest(left);
         if (recovering(&self->nodes[i]) && recovered_ns(self, &self->nodes[i]) <= time_ns) {
             return i;
         }
@@ -668,6 +711,7 @@ uint32_t can_bus_run(can_bus_model *self, uint64_t until_ns, can_bus_frame *out,
         const uint8_t back = recovered_at(self, next_ns);
         if (back != CAN_BUS_NOBODY) {
             self->nodes[back].state = CAN_BUS_ERROR_ACTIVE;
+            self->off &= ~bit_of(back);
             self->nodes[back].transmit_errors = 0;
             self->nodes[back].receive_errors = 0;
             self->nodes[back].ready_ns = next_ns;

@@ -151,6 +151,9 @@ typedef struct can_bus_model {
     uint64_t bits_to_error; /* bits until the next one */
     uint32_t disturbance_count;
     uint8_t node_count; /* nodes behind are absent */
+    uint32_t waiting;   /* bit n: node n has frames to send */
+    uint32_t off;       /* bit n: node n is off the bus */
+    uint32_t counting;  /* bit n: an error counter of node n is above 0 */
     uint16_t free_count;
     can_bus_transmission wire_now;
     can_bus_statistics statistics;

@@ -91,7 +91,10 @@ def c_decode(message: MessageCodec, data: bytes) -> tuple[float, ...]:
 
 def c_encode(message: MessageCodec, values: tuple[float, ...]) -> bytes:
     data = ffi.new("uint8_t[8]", [0xA5] * 8)
-    assert lib.codec_values_encode(codec_of(message).number, message.index, ffi.new("double[]", values), data) == lib.CODEC_OK
+    assert (
+        lib.codec_values_encode(codec_of(message).number, message.index, ffi.new("double[]", values), data)
+        == lib.CODEC_OK
+    )
     return bytes(data)
 
 
@@ -217,7 +220,10 @@ def test_what_the_bits_do_not_hold_is_refused(message: MessageCodec) -> None:
             values = list(lowest)
             values[index] = signal.scale * raw + signal.offset
             untouched = ffi.new("uint8_t[8]")
-            assert lib.codec_values_encode(codec_of(message).number, message.index, ffi.new("double[]", values), untouched) == index + 1
+            assert (
+                lib.codec_values_encode(codec_of(message).number, message.index, ffi.new("double[]", values), untouched)
+                == index + 1
+            )
             assert bytes(untouched) == bytes(8), "a refused value leaves no data"
             with pytest.raises(CodecError, match=rf"^{message.name}\.{signal.name}: "):
                 message.encode(*values)
@@ -264,7 +270,10 @@ def test_declared_ranges_are_where_strict_cantools_differs() -> None:
 def test_frames_that_are_too_short_are_refused(message: MessageCodec) -> None:
     values = ffi.new("double[]", [77.0] * len(message.signals))
     for length in range(message.length):
-        assert lib.codec_values_decode(codec_of(message).number, message.index, bytes(8), length, values) == lib.CODEC_SHORT_FRAME
+        assert (
+            lib.codec_values_decode(codec_of(message).number, message.index, bytes(8), length, values)
+            == lib.CODEC_SHORT_FRAME
+        )
         assert list(values) == [77.0] * len(message.signals)
         with pytest.raises(CodecError):
             message.decode(bytes(length))

@@ -202,28 +202,32 @@ def test_counters_states_and_bus_off_come_at_the_standards_limits():
 def test_error_passive_sender_waits_eight_more_bits():
     wire = Wire()
     sender, _ = wire.join(), wire.join()
-    wire.node(sender).transmit_errors = 140
-    wire.node(sender).state = lib.CAN_BUS_ERROR_PASSIVE
     frame = wire.frame(2)
+    assert disturb(wire, 17)
     for _ in range(2):
         wire.submit(sender, frame)
-    first, second = wire.run(NEVER_NS)
+    *_, first, second = wire.run(NEVER_NS)
     gap_bits = (second.frame.time_us - first.frame.time_us) * 1000 // wire.bit_ns - wire.bits(frame)
     assert gap_bits == INTERMISSION + 8
-    assert errors_of(wire, sender)[0] == 138
+    assert errors_of(wire, sender)[0] == 17 * 8 - 2
 
 
 def test_frames_that_go_through_bring_a_passive_node_back():
     wire = Wire()
     sender, receiver = wire.join(), wire.join()
-    wire.node(sender).transmit_errors, wire.node(receiver).receive_errors = 130, 200
-    wire.node(sender).state = wire.node(receiver).state = lib.CAN_BUS_ERROR_PASSIVE
-    for _ in range(3):
-        wire.submit(sender, wire.frame(2))
+    passive, active = lib.CAN_BUS_ERROR_PASSIVE, lib.CAN_BUS_ERROR_ACTIVE
+    assert disturb(wire, 20, receiver=receiver)
+    wire.submit(sender, wire.frame(2))
     wire.run(NEVER_NS)
-    assert errors_of(wire, sender) == (127, 0)
-    assert errors_of(wire, receiver) == (0, 125)  # the first good frame sets it to 127
-    assert wire.node(sender).state == wire.node(receiver).state == lib.CAN_BUS_ERROR_ACTIVE
+    # 9 for each error that it saw alone; the first good frame sets a receiver's counter to 127.
+    assert errors_of(wire, receiver) == (0, 127)
+    assert (wire.node(sender).state, wire.node(receiver).state) == (passive, active)
+    for count in range(1, 40):
+        wire.submit(sender, wire.frame(2))
+        wire.run(NEVER_NS)
+        assert errors_of(wire, sender) == (20 * 8 - 1 - count, 0)
+        assert errors_of(wire, receiver) == (0, 127 - count)
+        assert wire.node(sender).state == (passive if 20 * 8 - 1 - count > 127 else active)
 
 
 def test_receiver_that_is_alone_with_its_error_counts_nine():

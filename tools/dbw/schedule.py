@@ -59,7 +59,8 @@ def analyse(database: Codec, bus: Bus, bit_rate: int, all_at_ns: int | None) -> 
     bit_ns = 10**9 // bit_rate
     # 29-bit identifiers lose against 11-bit ones of the same first bits, as in arbitration.
     ordered = sorted(
-        messages_of(database, bus), key=lambda codec: (codec.frame_id if codec.extended else codec.frame_id << 18, codec.extended)
+        messages_of(database, bus),
+        key=lambda codec: (codec.frame_id if codec.extended else codec.frame_id << 18, codec.extended),
     )
     chosen: list[tuple[MessageCodec, int]] = []
     for codec in ordered:
