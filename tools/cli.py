@@ -111,8 +111,10 @@ def _dbw(options: argparse.Namespace, console: Console) -> int:
         return encode(database, options.message, options.values, console)
     if options.dbw_command == "check":
         from tools.dbw.check import Outputs, check  # noqa: PLC0415
+        from tools.dbw.counters import CounterMode  # noqa: PLC0415
 
-        return check(database, options.log, options.bus, Outputs(options.json, options.junit), console)
+        outputs = Outputs(options.json, options.junit, options.timing)
+        return check(database, options.log, options.bus, CounterMode(options.counter), outputs, console)
     if options.dbw_command == "schedule":
         from tools.dbw.schedule import schedule  # noqa: PLC0415
 
@@ -244,6 +246,13 @@ def make_parser() -> argparse.ArgumentParser:
     check = tasks.add_parser("check", help="everything in a recording that is not what the DBC files say")
     check.add_argument("log", type=Path, help="candump (.log), BLF, ASC, TRC or MF4, each also .gz")
     check.add_argument("--bus", metavar="BUS", help="of all frames: CAN1, CAN3, CAN-A or CAN-S (default: by channel)")
+    check.add_argument(
+        "--counter",
+        choices=["automatic", "plus-one", "changed"],
+        default="automatic",
+        help="what message counters have to do (default: automatic: plus one, the end found out from the recording)",
+    )
+    check.add_argument("--timing", action="store_true", help="show the times between the frames of each message")
     check.add_argument("--json", type=Path, metavar="FILE", help="write findings and times between frames")
     check.add_argument("--junit", type=Path, metavar="FILE", help="write a test case per message as JUnit XML")
     lint = tasks.add_parser("lint", help="what is wrong or missing in a DBC file")

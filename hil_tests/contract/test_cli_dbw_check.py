@@ -6,10 +6,12 @@ import gzip
 import json
 import shutil
 from collections.abc import Callable
+from copy import deepcopy
 from pathlib import Path
 from xml.etree import ElementTree
 
 import can
+import numpy as np
 import pytest
 from cli_harness import Answer, Command, assert_one_line, command
 
@@ -17,6 +19,7 @@ from bridge.bus import CHANNELS
 from dbc.buses import Bus
 from dbc.codec import database
 from tools.cli import main
+from tools.dbw.timing import RESOLUTION
 
 SUFFIXES = (".log", ".blf", ".asc", ".log.gz", ".asc.gz")
 
@@ -35,10 +38,16 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def messages(drive: Path) -> list[can.Message]:
+def recorded(drive: Path) -> list[can.Message]:
     """The first seconds of it on CAN1."""
     with can.LogReader(drive / "frames.log") as reader:
         return [message for message, _ in zip(reader, range(10_000), strict=False) if message.channel == "CAN1"]
+
+
+@pytest.fixture
+def messages(recorded: list[can.Message]) -> list[can.Message]:
+    """The same, to be changed."""
+    return deepcopy(recorded)
 
 
 def written(path: Path, messages: list[can.Message]) -> Path:
@@ -88,6 +97,46 @@ def test_every_suffix_that_is_offered_has_a_reader(raceloop: Command, tmp_path: 
     path = tmp_path / "drive.trc"
     path.write_text(";$FILEVERSION=2.1\n;$STARTTIME=45000.0\n;$COLUMNS=N,O,T,B,I,d,R,L,D\n")
     assert_one_line(raceloop("dbw", "check", path), path, "holds no frame")
+
+
+def test_counters_as_the_user_wants_them(raceloop: Command, tmp_path: Path, messages: list[can.Message]):
+    """A sender that counts to 7, one that skips, and one that stays."""
+    steering = [message for message in messages if message.arbitration_id == 0x57A]
+    for number, message in enumerate(steering):
+        message.data[2] = number % 8
+    log = written(tmp_path / "short.log", steering)
+    assert raceloop("dbw", "check", log).status == 0
+    strict = raceloop("dbw", "check", log, "--counter", "plus-one")
+    assert strict.status == 1
+    assert "counter jump" in strict.out.splitlines()[0]
+    assert raceloop("dbw", "check", log, "--counter", "changed").status == 0
+    steering[40].data[2] = steering[39].data[2]
+    log = written(tmp_path / "stuck.log", steering)
+    (finding, _) = raceloop("dbw", "check", log, "--counter", "changed").out.splitlines()
+    assert "counter stuck, 1 time, first in frame 40 " in finding
+    with pytest.raises(SystemExit):
+        main(["dbw", "check", str(log), "--counter", "plus-two"])
+
+
+def test_times_between_frames_on_request(raceloop: Command, tmp_path: Path, messages: list[can.Message]):
+    steering = [message for message in messages if message.arbitration_id == 0x57A]
+    del steering[60:72]
+    log = written(tmp_path / "drive.log", steering)
+    json_path = tmp_path / "it.json"
+    page = raceloop("dbw", "check", log, "--timing", "--json", json_path).out.splitlines()
+    assert page[-4].split() == ["bus", "message", "frames", "cycle", "mean", "jitter", "p99", "longest", "time-outs"]
+    row = page[-3].split()
+    assert row[:3] == ["CAN1", "steering_cmd", str(len(steering))]
+    intervals_ms = np.diff(np.rint([message.timestamp * 1e6 for message in steering])) / 1000
+    cycle, mean, jitter, p99, longest = (float(word) for word in row[3:8])
+    assert (cycle, row[8]) == (10.0, "1")
+    assert mean == pytest.approx(intervals_ms.mean(), abs=0.001)
+    assert jitter == pytest.approx(intervals_ms.std(), abs=0.001)
+    assert p99 == pytest.approx(np.percentile(intervals_ms, 99, method="inverted_cdf"), rel=RESOLUTION, abs=0.001)
+    assert longest == pytest.approx(intervals_ms.max(), abs=0.0011)
+    figures = json.loads(json_path.read_text())["messages"]["steering_cmd"]
+    assert (figures["timeouts"], figures["p99_us"]) == (1, pytest.approx(p99 * 1000, abs=0.5))
+    assert len(raceloop("dbw", "check", log).out.splitlines()) == len(page) - 3
 
 
 def test_files_for_other_programs(raceloop: Command, tmp_path: Path, messages: list[can.Message]):

@@ -121,6 +121,8 @@ def test_a_recording_is_clean_by_its_own_profile_and_no_other(runs: dict[str, Ru
     assert runs["V14"].found("V26") == {
         (Rule.SHORT, "steering_report"),
         (Rule.SHORT, "misc_report"),
+        (Rule.MISSING, "steering_report"),
+        (Rule.MISSING, "misc_report"),
         (Rule.STUCK, "brake_pressure_cmd"),
     }
     found = runs["V26"].found("V14")

@@ -13,7 +13,9 @@ from bridge._native import lib
 from dbc.codec import MessageCodec, database
 from dbc.frames import FRAME_DTYPE, Bus, Flag, frame_array
 from dbc.network import raw_limits
-from tools.dbw.conformance import Conformance, Place, Rule, Timing, crc16
+from tools.dbw.conformance import Conformance, crc16
+from tools.dbw.findings import Place, Rule
+from tools.dbw.timing import Timing
 
 STEERING = database.message("steering_cmd")
 REPORT = database.message("steering_report")
@@ -26,16 +28,18 @@ Frames = NDArray[np.void]
 
 
 def traffic(seconds: float = 6.0, wrap: int = 256) -> Frames:
-    """What four stations send that do everything right."""
+    """What four stations send that do everything right; values move a few steps at a time."""
     random = np.random.default_rng(SEED)
     frames = []
     for codec in MESSAGES:
         facts = database.facts(codec.name)
         cycle_us = codec.cycle_us // facts.frames_per_cycle
+        value = 0
         for number, time_us in enumerate(range(1000 * codec.index, round(seconds * 1e6), cycle_us)):
             raw = [0.0] * len(codec.signals)
             signal = codec.definition.signals[0]
-            raw[0] = float(random.integers(min(100, raw_limits(signal)[1]), endpoint=True)) * signal.scale
+            value = int(np.clip(value + random.integers(-2, 2, endpoint=True), 0, min(100, raw_limits(signal)[1])))
+            raw[0] = value * float(signal.scale)
             if facts.counter is not None:
                 raw[codec.signals.index(facts.counter.name)] = number % wrap
             frame = codec.frame(*raw, time_us=time_us)

@@ -12,7 +12,8 @@ from bridge._native import ffi, lib
 from dbc.codec import database
 from dbc.frames import Bus, frame_array
 from dbc.states import CtState, SysState
-from tools.dbw.conformance import Conformance, Place, Rule
+from tools.dbw.conformance import Conformance
+from tools.dbw.findings import Place, Rule
 from tools.dbw.sequences import GEAR_HOLD_US, Sequence, ct_may_follow, gear_may_follow, sys_may_follow
 
 SEED = 20221103

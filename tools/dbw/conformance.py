@@ -5,13 +5,12 @@ Frames come in pieces; what a check keeps does not grow with their number.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
-from enum import StrEnum
-from typing import NamedTuple
+from collections import defaultdict
+from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
-from cantools.database.can import Signal
+from cantools.database.can import Message, Signal
 from numpy.typing import NDArray
 
 from bridge._native import lib
@@ -19,135 +18,32 @@ from dbc.codec import Codec, MessageCodec
 from dbc.codec import database as car
 from dbc.frames import FRAME_DTYPE, FRAME_SIZE, Bus, Flag
 from dbc.network import MessageFacts
+from tools.dbw.car_rules import MOVING, PAIRS, RELATIONS, SETTINGS, SLEW_LIMITS
+from tools.dbw.counters import Counter, CounterMode
+from tools.dbw.findings import Finding, Findings, Offence, Place, Rule
+from tools.dbw.history import Histories, Piece
+from tools.dbw.relations import Judgement, Likeness, Pair, Relation
 from tools.dbw.sequences import Sequence, sequences
+from tools.dbw.signal_rules import Motion, NamedValues, Order, Resolution, Setting, SignalRule, Slew, steps
+from tools.dbw.timing import Timing
 
-
-class Rule(StrEnum):
-    """What is checked."""
-
-    UNKNOWN = "unknown identifier"
-    REMOTE = "remote frame"
-    ERROR = "error frame"
-    SHORT = "too short"
-    LONG = "too long"
-    CRC = "CRC"
-    STUCK = "counter stuck"
-    JUMP = "counter jump"
-    RANGE = "range"
-    SEQUENCE = "sequence"
-    CYCLE = "cycle time"
-    TIMEOUT = "time-out"
-    CLOCK = "clock"
-    BROKEN = "unreadable"
-
-
-class Place(NamedTuple):
-    """What a finding is about.
-
-    Attributes
-    ----------
-    rule : that is broken.
-    bus : of the frame; None for the recording as a whole.
-    message : name, or identifier in hexadecimal digits when nothing is known of it; empty for a bus as a whole.
-    signal : empty for the message as a whole.
-    """
-
-    rule: Rule
-    bus: Bus | None = None
-    message: str = ""
-    signal: str = ""
-
-    @property
-    def subject(self) -> str:
-        """Bus, message and signal in words."""
-        bus = "recording" if self.bus is None else self.bus.label
-        return f"{bus} {self.message}{'.' if self.signal else ''}{self.signal}".rstrip()
-
-
-@dataclass
-class Finding:
-    """Frames that break one rule in one place.
-
-    Attributes
-    ----------
-    place : what and where.
-    count : frames.
-    first_frame, first_us : number in the recording, from 0, and time of the first of them.
-    text : of the first: what was seen, and what should be.
-    """
-
-    place: Place
-    count: int
-    first_frame: int
-    first_us: int
-    text: str
-
-
-@dataclass
-class Timing:
-    """Times between the frames of one message, us.
-
-    Attributes
-    ----------
-    count : intervals.
-    total, squares : their sum, and that of their squares.
-    shortest, longest : of them.
-    first_frame, first_us : number in the recording, and time, of the first frame.
-    last_us : time of the newest frame.
-    """
-
-    first_frame: int = 0
-    first_us: int = 0
-    count: int = 0
-    total: float = 0.0
-    squares: float = 0.0
-    shortest: int = 0
-    longest: int = 0
-    last_us: int = 0
-
-    @property
-    def mean(self) -> float:
-        """Mean interval, us; 0 when there is none."""
-        return self.total / self.count if self.count else 0.0
-
-    @property
-    def jitter(self) -> float:
-        """Standard deviation of the intervals, us."""
-        return float(np.sqrt(max(self.squares / self.count - self.mean**2, 0.0))) if self.count else 0.0
-
-    def add(self, intervals: NDArray[np.int64]) -> None:
-        """Take in intervals; at least one."""
-        self.shortest = min(self.shortest, int(intervals.min())) if self.count else int(intervals.min())
-        self.longest = max(self.longest, int(intervals.max()))
-        self.count += len(intervals)
-        self.total += float(intervals.sum())
-        self.squares += float((intervals.astype(np.float64) ** 2).sum())
-
-
-@dataclass
-class _Counter:
-    """What is kept of a message counter.
-
-    Attributes
-    ----------
-    last : newest value; None before the first frame.
-    highest : largest value seen.
-    jumps_to_0 : by the value before: how many, and the first one's frame and time. They may be where the sender wraps.
-    """
-
-    last: int | None = None
-    highest: int = 0
-    jumps_to_0: dict[int, tuple[int, int, int]] = field(default_factory=dict)
-
-
-#: Public senders count up to these before they begin at 0 again, whatever the width of the field is.
-_WRAPS = (7, 15, 255)
+__all__ = ["Conformance", "CounterMode", "Finding", "Offence", "Place", "Rule", "Timing", "crc16"]
 
 #: Part by which the mean of the times between frames may differ from the cycle time.
 _CYCLE_TOLERANCE = 0.1
 
 #: Intervals that make a mean.
 _CYCLE_SAMPLES = 10
+
+#: Shortest recording of a sender of which a message can be missed, us, also in time-outs of the message.
+_MISSED_US = 1_000_000
+_MISSED_TIMEOUTS = 2
+
+#: After all frames.
+_END_US = 1 << 62
+
+#: Units of clocks, whose steps are those of the sender's cycle.
+_TIME_UNITS = ("s", "ms", "us")
 
 _STATUS_RULES = {
     lib.CODEC_UNKNOWN_ID: Rule.UNKNOWN,
@@ -158,14 +54,37 @@ _STATUS_RULES = {
 
 
 @dataclass(frozen=True)
-class _Limits:
-    """Declared range of a signal; `row` is that of the signal in decoded columns."""
+class _Ranges:
+    """Declared ranges, for all signals of a message that have one.
 
-    row: int
-    name: str
-    low: float
-    high: float
-    slack: float
+    Attributes
+    ----------
+    rows : of the signals in decoded columns.
+    low, high : what is allowed, shape (signals, 1), with what a decimal scale loses in binary.
+    declared : what the DBC file says.
+    """
+
+    rows: tuple[int, ...]
+    low: NDArray[np.float64]
+    high: NDArray[np.float64]
+    declared: tuple[tuple[float, float], ...]
+
+    @classmethod
+    def of(cls, codec: MessageCodec, facts: MessageFacts) -> _Ranges:
+        """Those of a message."""
+        rows, declared, slack = [], [], []
+        for row, signal in enumerate(codec.definition.signals):
+            # Counter and CRC have rules of their own; public files declare ranges for them that no sender keeps to.
+            has_range = signal.minimum is not None or signal.maximum is not None
+            if has_range and signal not in (facts.counter, facts.crc):
+                low = -np.inf if signal.minimum is None else float(signal.minimum)
+                high = np.inf if signal.maximum is None else float(signal.maximum)
+                rows.append(row)
+                declared.append((low, high))
+                slack.append(1e-6 * abs(float(signal.scale)))
+        limits = np.array(declared, dtype=np.float64).reshape(-1, 2)
+        margin = np.array(slack).reshape(-1, 1)
+        return cls(tuple(rows), limits[:, :1] - margin, limits[:, 1:] + margin, tuple(declared))
 
 
 @dataclass(frozen=True)
@@ -175,38 +94,85 @@ class _Plan:
     Attributes
     ----------
     counter, crc : signals, if there are any.
-    limits : of signals with a declared range.
-    sequences : by row in decoded columns: name of the signal and order of its values.
+    unused : bits that no signal has, as little-endian word.
+    ranges : declared ones.
+    rules : of signals, with the row in decoded columns.
+    decoded : whether the values are looked at at all.
     """
 
     counter: Signal | None
     crc: Signal | None
-    limits: tuple[_Limits, ...]
-    sequences: Mapping[int, tuple[str, Sequence]]
+    unused: np.uint64
+    ranges: _Ranges
+    rules: tuple[tuple[int, SignalRule], ...]
+    decoded: bool
 
     @classmethod
-    def of(cls, codec: MessageCodec, facts: MessageFacts, every_sequence: Mapping[tuple[str, str], Sequence]) -> _Plan:
+    def of(
+        cls,
+        codec: MessageCodec,
+        facts: MessageFacts,
+        ordered: dict[tuple[str, str], Sequence],
+        related: bool,
+    ) -> _Plan:
         """The plan for a message."""
-        limits, ordered = [], {}
-        for row, signal in enumerate(codec.definition.signals):
-            # Counter and CRC have rules of their own; public files declare ranges for them that no sender keeps to.
-            declared = signal.minimum is not None or signal.maximum is not None
-            if declared and signal not in (facts.counter, facts.crc):
-                low = -np.inf if signal.minimum is None else float(signal.minimum)
-                high = np.inf if signal.maximum is None else float(signal.maximum)
-                # What a decimal scale loses in binary is no offence.
-                limits.append(_Limits(row, signal.name, low, high, 1e-6 * abs(float(signal.scale))))
-            if (sequence := every_sequence.get((codec.name, signal.name))) is not None:
-                ordered[row] = (signal.name, sequence)
-        return cls(facts.counter, facts.crc, tuple(limits), ordered)
+        rules = [
+            (row, rule)
+            for row, signal in enumerate(codec.definition.signals)
+            if signal not in (facts.counter, facts.crc)
+            for rule in _signal_rules(codec, signal, ordered)
+        ]
+        ranges = _Ranges.of(codec, facts)
+        return cls(
+            facts.counter,
+            facts.crc,
+            _unused_bits(codec.definition),
+            ranges,
+            tuple(rules),
+            related or bool(rules) or bool(ranges.rows),
+        )
+
+
+def _signal_rules(
+    codec: MessageCodec, signal: Signal, ordered: dict[tuple[str, str], Sequence]
+) -> Iterator[SignalRule]:
+    key, unit, scale = (codec.name, signal.name), signal.unit or "", abs(float(signal.scale))
+    if (sequence := ordered.get(key)) is not None:
+        yield Order(sequence)
+    if signal.choices and 0 in signal.choices and len(signal.choices) > 1:
+        # A table that leaves 0 out names some values of many.
+        yield NamedValues({int(value): str(name) for value, name in signal.choices.items()})
+    if (limit := SLEW_LIMITS.get(key)) is not None:
+        yield Slew(limit, 1.01 * scale, codec.cycle_us, unit)
+    if (limit_us := MOVING.get(key)) is not None:
+        yield Motion(limit_us)
+    if key in SETTINGS:
+        yield Setting()
+    if scale != 1.0 and unit not in _TIME_UNITS:
+        yield Resolution(scale, float(signal.offset), unit)
+
+
+def _unused_bits(message: Message) -> np.uint64:
+    """Bits of a message that no signal has."""
+    unused = (1 << 8 * message.length) - 1
+    for signal in message.signals:
+        place = signal.start
+        for _ in range(signal.length):
+            unused &= ~(1 << place)
+            if signal.byte_order == "little_endian":
+                place += 1
+            else:
+                place += 15 if place % 8 == 0 else -1
+    return np.uint64(unused)
 
 
 class Conformance:
-    """Checks of everything that one frame, or the frames of one message, can tell.
+    """Checks of everything that frames can tell: each by itself, those of one message, and those of several.
 
     Parameters
     ----------
     database : the messages that are allowed.
+    counter_mode : what a message counter has to do.
 
     Attributes
     ----------
@@ -216,15 +182,41 @@ class Conformance:
     findings : so far, by place; complete after `finish`.
     """
 
-    def __init__(self, database: Codec = car) -> None:
+    def __init__(self, database: Codec = car, counter_mode: CounterMode = CounterMode.AUTOMATIC) -> None:
         self.database = database
         self.frames = 0
         self.timings: dict[str, Timing] = {}
-        self.findings: dict[Place, Finding] = {}
-        self._counters: dict[str, _Counter] = {}
+        self.findings = Findings()
         self._newest_us: dict[Bus, int] = {}
-        every_sequence = sequences()
-        self._plans = {codec.name: _Plan.of(codec, database.facts(codec.name), every_sequence) for codec in database}
+        self._disordered: set[Bus] = set()
+        codecs = {codec.name: codec for codec in database}
+        known = {(codec.name, signal) for codec in database for signal in codec.signals}
+        relations = [relation for relation in RELATIONS if relation.needs <= known]
+        pairs = [pair for pair in PAIRS if pair.needs <= known]
+        self._judgements = [self._judgement(relation) for relation in relations]
+        self._likenesses = [self._likeness(pair) for pair in pairs]
+        related = set[str]().union(*(one.messages for one in relations), *(one.messages for one in pairs))
+        self._histories = Histories({name: codecs[name] for name in related})
+        ordered = sequences()
+        self._plans = {
+            codec.name: _Plan.of(codec, database.facts(codec.name), ordered, codec.name in related)
+            for codec in database
+        }
+        self._counters = {
+            name: Counter((1 << plan.counter.length) - 1, counter_mode)
+            for name, plan in self._plans.items()
+            if plan.counter is not None
+        }
+
+    def _judgement(self, relation: Relation) -> Judgement:
+        codec = self.database.message(relation.message)
+        signal = codec.definition.get_signal_by_name(relation.signal)
+        buses = frozenset(self.database.message(name).bus for name in relation.messages)
+        return Judgement(relation, float(signal.scale), float(signal.offset), codec.bus, buses)
+
+    def _likeness(self, pair: Pair) -> Likeness:
+        codec = self.database.message(pair.message)
+        return Likeness(pair, float(codec.definition.get_signal_by_name(pair.signal).scale), codec.bus)
 
     def update(self, frames: NDArray[np.void]) -> None:
         """Take in frames, array of `FRAME_DTYPE`."""
@@ -239,22 +231,35 @@ class Conformance:
         # As words, which numpy moves several times as fast as records.
         words = np.ascontiguousarray(frames).view(np.uint64).reshape(-1, FRAME_SIZE // 8)
         frames = words[order].view(FRAME_DTYPE)[:, 0]
+        seen = set()
         for codec, begin, end in zip(self.database, bounds[:-1], bounds[1:], strict=True):
             if begin < end:
-                self._check_message(codec, frames[begin:end], numbers[begin:end])
+                piece = self._check_message(codec, frames[begin:end], numbers[begin:end])
+                if piece is not None and codec.name in self._histories:
+                    self._histories.extend(piece)
+                    seen.add(codec.name)
+        self._check_relations(seen)
 
     def finish(self) -> None:
         """Judge what only the whole recording tells."""
         for codec in self.database:
-            if (timing := self.timings.get(codec.name)) is not None:
-                self._judge_cycle(codec, timing)
+            if (timing := self.timings.get(codec.name)) is None:
+                continue
+            self._judge_cycle(codec, timing)
             if (counter := self._counters.get(codec.name)) is not None:
-                self._judge_jumps_to_0(codec, counter)
+                self._note_counter(codec, counter.finish())
+            for row, rule in self._plans[codec.name].rules:
+                self._note_signal(codec, row, rule, rule.finish())
+        for judgement in self._judgements:
+            self._judge_relation(judgement, _END_US)
+        for likeness in self._likenesses:
+            for place, offence in likeness.finish():
+                self.findings.note(place, offence)
+        self._judge_silence()
 
     def note(self, place: Place, count: int, frame: int, time_us: int, text: str) -> None:
-        """Note frames that break a rule; the text of the first ones stays."""
-        found = self.findings.setdefault(place, Finding(place, 0, frame, time_us, text))
-        found.count += count
+        """Note frames that break a rule."""
+        self.findings.note(place, Offence(count, frame, time_us, text))
 
     def _check_clock(self, frames: NDArray[np.void], numbers: NDArray[np.int64]) -> None:
         for bus in Bus:
@@ -268,7 +273,8 @@ class Conformance:
             if back.size:
                 first = int(back[0])
                 text = f"goes back by {(before[first] - times[first]) / 1000:.3f} ms"
-                self._note(Place(Rule.CLOCK, bus), back, numbers[mine], times, text)
+                self.findings.note(Place(Rule.CLOCK, bus), Offence.of(back, numbers[mine], times, text))
+                self._disordered.add(bus)
 
     def _check_acceptance(self, frames: NDArray[np.void], numbers: NDArray[np.int64], index: NDArray[np.int32]) -> None:
         refused = np.flatnonzero(index < 0)
@@ -284,44 +290,64 @@ class Conformance:
                 Rule.SHORT: f"{frames['dlc'][rows[0]]} data bytes; {0 if codec is None else codec.length} are needed",
                 Rule.UNKNOWN: "no message of this bus has it",
             }.get(rule, "not sent by any station of the car")
-            self._note(Place(rule, Bus(bus), name), rows, numbers, frames["time_us"], text)
+            self.findings.note(Place(rule, Bus(bus), name), Offence.of(rows, numbers, frames["time_us"], text))
 
-    def _check_message(self, codec: MessageCodec, frames: NDArray[np.void], numbers: NDArray[np.int64]) -> None:
+    def _check_message(self, codec: MessageCodec, frames: NDArray[np.void], numbers: NDArray[np.int64]) -> Piece | None:
+        """Check frames of a message; gives those that a receiver takes, decoded, if their values are of interest."""
         times = frames["time_us"].astype(np.int64)
         self._check_intervals(codec, numbers, times)
         longer = np.flatnonzero(frames["dlc"] > codec.length)
         if longer.size:
             text = f"{frames['dlc'][longer[0]]} data bytes; the message has {codec.length}"
-            self._note(Place(Rule.LONG, codec.bus, codec.name), longer, numbers, times, text)
+            self.findings.note(Place(Rule.LONG, codec.bus, codec.name), Offence.of(longer, numbers, times, text))
         plan = self._plans[codec.name]
         if plan.crc is not None:
             valid = self._check_crc(codec, plan.crc, frames, numbers, times)
-            frames, numbers, times = frames[valid], numbers[valid], times[valid]
+            if not valid.all():
+                frames, numbers, times = frames[valid], numbers[valid], times[valid]
             if not len(frames):
-                return
+                return None
+        words = np.ascontiguousarray(frames["data"]).view("<u8")[:, 0]
+        self._check_unused(codec, plan.unused, words, numbers, times)
         if plan.counter is not None:
-            self._check_counter(codec, plan.counter, frames, numbers, times)
-        if plan.limits or plan.sequences:
-            columns = codec.columns(frames)
-            self._check_ranges(codec, plan.limits, columns, numbers, times)
-            self._check_sequences(codec, plan.sequences, columns, numbers, times)
+            mask = np.uint64((1 << plan.counter.length) - 1)
+            values = (words >> np.uint64(plan.counter.start) & mask).astype(np.int64)
+            self._note_counter(codec, self._counters[codec.name].update(values, times, numbers))
+        if not plan.decoded:
+            return None
+        piece = Piece(codec, codec.columns(frames), times, numbers)
+        self._check_ranges(piece, plan.ranges)
+        for row, rule in plan.rules:
+            self._note_signal(codec, row, rule, rule.update(piece.values[row], times, numbers))
+        return piece
+
+    def _note_counter(self, codec: MessageCodec, offences: Iterator[tuple[Rule, Offence]]) -> None:
+        counter = self._plans[codec.name].counter
+        assert counter is not None
+        for rule, offence in offences:
+            self.findings.note(Place(rule, codec.bus, codec.name, counter.name), offence)
+
+    def _note_signal(self, codec: MessageCodec, row: int, rule: SignalRule, offences: Iterator[Offence]) -> None:
+        for offence in offences:
+            self.findings.note(Place(rule.rule, codec.bus, codec.name, codec.signals[row]), offence)
 
     def _check_intervals(self, codec: MessageCodec, numbers: NDArray[np.int64], times: NDArray[np.int64]) -> None:
         timing = self.timings.get(codec.name)
         if timing is None:
             timing = self.timings[codec.name] = Timing(int(numbers[0]), int(times[0]), last_us=int(times[0]))
+            timing.last_frame = int(numbers[0])
             times, numbers = times[1:], numbers[1:]
         if not times.size:
             return
-        intervals = np.diff(times, prepend=timing.last_us)
-        timing.last_us = int(times[-1])
+        intervals = steps(times, timing.last_us)
+        timing.last_frame, timing.last_us = int(numbers[-1]), int(times[-1])
         timing.add(intervals)
         if codec.timeout_us:
             late = np.flatnonzero(intervals > codec.timeout_us)
             if late.size:
                 longest_ms = codec.timeout_us // 1000
                 text = f"{intervals[late[0]] / 1000:.1f} ms since the frame before; the time-out is {longest_ms} ms"
-                self._note(Place(Rule.TIMEOUT, codec.bus, codec.name), late, numbers, times, text)
+                self.findings.note(Place(Rule.TIMEOUT, codec.bus, codec.name), Offence.of(late, numbers, times, text))
 
     def _check_crc(
         self,
@@ -339,67 +365,56 @@ class Conformance:
         wrong = np.flatnonzero(stored != right)
         if wrong.size:
             text = f"{stored[wrong[0]]:04X}; must be {right[wrong[0]]:04X}"
-            self._note(Place(Rule.CRC, codec.bus, codec.name, crc.name), wrong, numbers, times, text)
+            self.findings.note(
+                Place(Rule.CRC, codec.bus, codec.name, crc.name), Offence.of(wrong, numbers, times, text)
+            )
         valid: NDArray[np.bool_] = stored == right
         return valid
 
-    def _check_counter(
+    def _check_unused(
         self,
         codec: MessageCodec,
-        signal: Signal,
-        frames: NDArray[np.void],
+        unused: np.uint64,
+        words: NDArray[np.uint64],
         numbers: NDArray[np.int64],
         times: NDArray[np.int64],
     ) -> None:
-        words = np.ascontiguousarray(frames["data"]).view("<u8")[:, 0]
-        values = (words >> np.uint64(signal.start) & np.uint64((1 << signal.length) - 1)).astype(np.int64)
-        state = self._counters.setdefault(codec.name, _Counter())
-        before = np.concatenate([[values[0] - 1 if state.last is None else state.last], values[:-1]])
-        state.last = int(values[-1])
-        state.highest = max(state.highest, int(values.max()))
-        stuck = np.flatnonzero(values == before)
-        jump = np.flatnonzero((values != before) & (values != before + 1))
-        if stuck.size:
-            text = f"stays at {values[stuck[0]]}"
-            self._note(Place(Rule.STUCK, codec.bus, codec.name, signal.name), stuck, numbers, times, text)
-        to_0 = jump[values[jump] == 0]
-        for value in np.unique(before[to_0]):
-            rows = to_0[before[to_0] == value]
-            count, frame, time_us = state.jumps_to_0.get(int(value), (0, int(numbers[rows[0]]), int(times[rows[0]])))
-            state.jumps_to_0[int(value)] = (count + len(rows), frame, time_us)
-        others = jump[values[jump] != 0]
-        if others.size:
-            text = f"{before[others[0]]} is followed by {values[others[0]]}"
-            self._note(Place(Rule.JUMP, codec.bus, codec.name, signal.name), others, numbers, times, text)
+        stray = np.flatnonzero(words & unused) if unused else np.empty(0, dtype=np.intp)
+        if stray.size:
+            bits = int(words[stray[0]] & unused)
+            places = [str(place) for place in range(64) if bits >> place & 1]
+            one = len(places) == 1
+            text = f"{'bit' if one else 'bits'} {', '.join(places)} {'is' if one else 'are'} set; no signal has "
+            text += "it" if one else "them"
+            self.findings.note(Place(Rule.UNUSED, codec.bus, codec.name), Offence.of(stray, numbers, times, text))
 
-    def _check_ranges(
-        self,
-        codec: MessageCodec,
-        limits: tuple[_Limits, ...],
-        columns: NDArray[np.float64],
-        numbers: NDArray[np.int64],
-        times: NDArray[np.int64],
-    ) -> None:
-        for one in limits:
-            values = columns[one.row]
-            outside = np.flatnonzero((values < one.low - one.slack) | (values > one.high + one.slack))
-            if outside.size:
-                text = f"{values[outside[0]]:g}; declared is {one.low:g} to {one.high:g}"
-                self._note(Place(Rule.RANGE, codec.bus, codec.name, one.name), outside, numbers, times, text)
+    def _check_ranges(self, piece: Piece, ranges: _Ranges) -> None:
+        if not ranges.rows:
+            return
+        values = piece.values[list(ranges.rows)]
+        outside = (values < ranges.low) | (values > ranges.high)
+        for place in np.flatnonzero(outside.any(axis=1)):
+            rows = np.flatnonzero(outside[place])
+            low, high = ranges.declared[place]
+            text = f"{values[place, rows[0]]:g}; declared is {low:g} to {high:g}"
+            signal = piece.codec.signals[ranges.rows[place]]
+            offence = Offence.of(rows, piece.numbers, piece.times, text)
+            self.findings.note(Place(Rule.RANGE, piece.codec.bus, piece.codec.name, signal), offence)
 
-    def _check_sequences(
-        self,
-        codec: MessageCodec,
-        ordered: Mapping[int, tuple[str, Sequence]],
-        columns: NDArray[np.float64],
-        numbers: NDArray[np.int64],
-        times: NDArray[np.int64],
-    ) -> None:
-        for row, (name, sequence) in ordered.items():
-            for place, text in sequence.update(columns[row], times):
-                self.note(
-                    Place(Rule.SEQUENCE, codec.bus, codec.name, name), 1, int(numbers[place]), int(times[place]), text
-                )
+    def _check_relations(self, seen: set[str]) -> None:
+        for judgement in self._judgements:
+            until_us = min(self._newest_us.get(bus, -1) for bus in judgement.buses)
+            self._judge_relation(judgement, until_us)
+        for likeness in self._likenesses:
+            if likeness.alike and likeness.pair.message in seen:
+                likeness.update(self._histories)
+        self._histories.trim(seen)
+
+    def _judge_relation(self, judgement: Judgement, until_us: int) -> None:
+        # Clocks that went back cannot be compared with those of other buses any more.
+        if len(judgement.buses) == 1 or not judgement.buses & self._disordered:
+            for place, offence in judgement.update(self._histories, until_us):
+                self.findings.note(place, offence)
 
     def _judge_cycle(self, codec: MessageCodec, timing: Timing) -> None:
         expected = codec.cycle_us / self.database.facts(codec.name).frames_per_cycle
@@ -407,28 +422,37 @@ class Conformance:
             return
         if abs(timing.mean - expected) > _CYCLE_TOLERANCE * expected:
             text = f"{timing.mean / 1000:.2f} ms on average; must be {expected / 1000:g} ms"
-            place = Place(Rule.CYCLE, codec.bus, codec.name)
-            self.note(place, timing.count, timing.first_frame, timing.first_us, text)
+            self.note(Place(Rule.CYCLE, codec.bus, codec.name), timing.count, timing.first_frame, timing.first_us, text)
 
-    def _judge_jumps_to_0(self, codec: MessageCodec, counter: _Counter) -> None:
-        """A jump to 0 from the highest value that the sender ever reaches is where it wraps, if that is a usual one."""
-        signal = self._plans[codec.name].counter
-        assert signal is not None
-        for value, (count, frame, time_us) in counter.jumps_to_0.items():
-            if value == counter.highest and value in (*_WRAPS, (1 << signal.length) - 1):
+    def _judge_silence(self) -> None:
+        """Messages that never come, or come no more, of senders that go on."""
+        senders: dict[tuple[Bus, str], list[MessageCodec]] = defaultdict(list)
+        for codec in self.database:
+            senders[codec.bus, codec.definition.senders[0]].append(codec)
+        for (_, sender), codecs in senders.items():
+            seen = [self.timings[codec.name] for codec in codecs if codec.name in self.timings]
+            if not seen:
                 continue
-            place = Place(Rule.JUMP, codec.bus, codec.name, signal.name)
-            self.note(place, count, frame, time_us, f"{value} is followed by 0")
-
-    def _note(
-        self,
-        place: Place,
-        rows: NDArray[np.intp],
-        numbers: NDArray[np.int64],
-        times: NDArray[np.int64],
-        text: str,
-    ) -> None:
-        self.note(place, len(rows), int(numbers[rows[0]]), int(times[rows[0]]), text)
+            first = min(seen, key=lambda timing: timing.first_us)
+            end_us = max(timing.last_us for timing in seen)
+            # Only messages that somebody waits for. Of a recording that lacks more than a quarter of them, they were
+            # left out on purpose.
+            watched = [codec for codec in codecs if codec.timeout_us]
+            whole = 4 * sum(codec.name in self.timings for codec in watched) >= 3 * len(watched)
+            for codec in watched:
+                timing = self.timings.get(codec.name)
+                if timing is None:
+                    seen_us = end_us - first.first_us
+                    if whole and seen_us >= max(_MISSED_US, _MISSED_TIMEOUTS * codec.timeout_us):
+                        text = (
+                            f"never in {seen_us / 1e6:.1f} s of {sender}; must come every {codec.cycle_us / 1000:g} ms"
+                        )
+                        place = Place(Rule.MISSING, codec.bus, codec.name)
+                        self.note(place, 0, first.first_frame, first.first_us, text)
+                elif end_us - timing.last_us > codec.timeout_us:
+                    text = f"the last frame; {sender} goes on for {(end_us - timing.last_us) / 1000:.1f} ms"
+                    place = Place(Rule.TIMEOUT, codec.bus, codec.name)
+                    self.note(place, 1, timing.last_frame, timing.last_us, text)
 
 
 def crc16(data: NDArray[np.uint8], frame_id: int) -> NDArray[np.uint16]:
