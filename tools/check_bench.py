@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+import shutil
 import statistics
+import subprocess
+import sys
 import tempfile
 import time
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 
 import can
+from cantools.database.can import Database
 from rich.console import Console
+from rich.table import Table
 
 from bridge.bus import CHANNELS
 from bridge.scenario import Condition, Scenario
@@ -20,6 +28,37 @@ from tools.run import build_bench
 
 TARGET_RATIO = 20.0
 
+#: The log that is checked, simulated seconds: a million frames.
+LOG_S = 190.0
+
+#: Frames of the logs of other kinds, which python-can takes its time to write, and of the loop on them.
+_OTHERS = 200_000
+
+#: How many times longer the log is on which memory is measured again.
+_LONGER = 4
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Wall times of both on one log, in pairs, s per frame.
+
+    Attributes
+    ----------
+    kind : suffix of the log.
+    frames : in it.
+    check, loop : times.
+    """
+
+    kind: str
+    frames: int
+    check: list[float]
+    loop: list[float]
+
+    @property
+    def ratios(self) -> list[float]:
+        """How many times as long the loop takes, pair by pair."""
+        return [slow / fast for slow, fast in zip(self.loop, self.check, strict=True)]
+
 
 def record(scenario: Scenario, simulated_s: float, folder: Path) -> Path:
     """Drive the beginning of a scenario; gives its candump log."""
@@ -29,6 +68,11 @@ def record(scenario: Scenario, simulated_s: float, folder: Path) -> Path:
         recording = bench.finish()
     assert recording is not None
     return recording.candump
+
+
+def endless(scenario: Scenario) -> Scenario:
+    """A scenario without its chequered flag: the race goes on."""
+    return replace(scenario, race_control=scenario.race_control[:-1])
 
 
 def check(log: Path) -> int:
@@ -47,7 +91,7 @@ def check(log: Path) -> int:
 
 def decode(log: Path) -> int:
     """No check at all, but every signal decoded; gives the number of frames."""
-    databases = {CHANNELS[bus]: load_database(DIRECTORY / f"{stem}.dbc") for stem, bus in DATABASES.items()}
+    databases = _databases(log.suffix)
     count = 0
     with can.LogReader(log) as reader:
         for message in reader:
@@ -56,28 +100,79 @@ def decode(log: Path) -> int:
     return count
 
 
-def bench_check(scenario: Scenario, repeats: int, simulated_s: float, console: Console) -> bool:
-    """Print the figures; tells whether the target was met."""
+def _databases(kind: str) -> Mapping[str, Database]:
+    """By channel, as python-can calls it in a kind of log."""
+    first = 1 if kind == ".trc" else 0
+    named = kind == ".log"
+    return {
+        CHANNELS[bus] if named else str(int(bus) + first): load_database(DIRECTORY / f"{stem}.dbc")
+        for stem, bus in DATABASES.items()
+    }
+
+
+def compare(log: Path, repeats: int) -> Comparison:
+    """Both on a log, in turns."""
+    frames = check(log)
+    comparison = Comparison(log.suffix, frames, [], [])
+    for _ in range(repeats):
+        for times, work in ((comparison.check, check), (comparison.loop, decode)):
+            started = time.perf_counter()
+            assert work(log) == frames
+            times.append((time.perf_counter() - started) / frames)
+    return comparison
+
+
+def convert(log: Path, count: int) -> list[Path]:
+    """The first frames of a candump log, as python-can writes other kinds of log."""
+    numbers = {name: int(bus) for bus, name in CHANNELS.items()}
+    paths = [log.with_name(f"part{kind}") for kind in (".blf", ".asc", ".trc")]
+    with can.LogReader(log) as reader:
+        messages = list(islice(reader, count))
+    for message in messages:
+        message.channel = numbers[str(message.channel)]
+    for path in paths:
+        with can.Logger(path) as logger:
+            for message in messages:
+                logger.on_message_received(message)
+    return paths
+
+
+def peak_mb(log: Path) -> float:
+    """Memory that the process of a check had at its most."""
+    code = (
+        "import sys; from tools.cli import main\n"
+        "main(['dbw', 'check', sys.argv[1]])\n"
+        "print(next(line.split()[1] for line in open('/proc/self/status') if line.startswith('VmHWM')))"
+    )
+    out = subprocess.run([sys.executable, "-c", code, str(log)], check=True, capture_output=True, text=True).stdout
+    return int(out.split()[-1]) / 1024
+
+
+def bench_check(scenario: Scenario, repeats: int, console: Console, log_s: float = LOG_S) -> bool:
+    """Print the figures; tells whether the target was met on the log that a drive leaves."""
     with tempfile.TemporaryDirectory(prefix="raceloop-") as folder:
-        log = record(scenario, simulated_s, Path(folder))
-        frames = check(log)
-        ours: list[float] = []
-        plain: list[float] = []
-        for _ in range(repeats):
-            for times, work in ((ours, check), (plain, decode)):
-                started = time.perf_counter()
-                assert work(log) == frames
-                times.append((time.perf_counter() - started) / frames)
-    ratios = [slow / fast for slow, fast in zip(plain, ours, strict=True)]
+        log = record(endless(scenario), log_s, Path(folder))
+        comparisons = [compare(log, repeats)]
+        comparisons += [compare(path, repeats) for path in convert(log, _OTHERS)]
+        longer = log.with_name("longer.log")
+        with longer.open("wb") as out:
+            for _ in range(_LONGER):
+                with log.open("rb") as source:
+                    shutil.copyfileobj(source, out)
+        memory = peak_mb(log), peak_mb(longer)
+    console.print("\ndbw check, and python-can's reader with cantools' decode_message in a loop, us per frame")
+    table = Table()
+    for heading in ("log", "frames", "check min", "median", "max", "loop min", "median", "max", "loop / check"):
+        table.add_column(heading, justify="left" if heading == "log" else "right")
+    for one in comparisons:
+        spread = [f"{of(times) * 1e6:.2f}" for times in (one.check, one.loop) for of in (min, statistics.median, max)]
+        ratios = one.ratios
+        ratio = f"{min(ratios):.1f} {statistics.median(ratios):.1f} {max(ratios):.1f}"
+        table.add_row(one.kind, str(one.frames), *spread, ratio)
+    console.print(table)
+    console.print(f"memory at most: {memory[0]:.0f} MB; with a log {_LONGER} times as long {memory[1]:.0f} MB")
+    ratios = comparisons[0].ratios
     median = statistics.median(ratios)
-    console.print(
-        f"\ndbw check, a candump log of {frames} frames: us per frame min {min(ours) * 1e6:.2f},"
-        f" median {statistics.median(ours) * 1e6:.2f}, max {max(ours) * 1e6:.2f}"
-    )
-    console.print(
-        f"python-can's reader and cantools' decode_message in a loop: min {min(plain) * 1e6:.2f},"
-        f" median {statistics.median(plain) * 1e6:.2f}, max {max(plain) * 1e6:.2f}"
-    )
     console.print(
         f"loop / check: min {min(ratios):.1f}, median {median:.1f}, max {max(ratios):.1f}"
         f" (target {TARGET_RATIO:g}: {'met' if median >= TARGET_RATIO else 'missed'})"

@@ -114,7 +114,13 @@ def _dbw(options: argparse.Namespace, console: Console) -> int:
         from tools.dbw.counters import CounterMode  # noqa: PLC0415
 
         outputs = Outputs(options.json, options.junit, options.timing)
-        return check(database, options.log, options.bus, CounterMode(options.counter), outputs, console)
+        return check(
+            database, options.source, options.bus, options.seconds, CounterMode(options.counter), outputs, console
+        )
+    if options.dbw_command == "monitor":
+        from tools.dbw.monitor import monitor  # noqa: PLC0415
+
+        return monitor(database, options.source, options.bus, options.seconds, options.message, options.once, console)
     if options.dbw_command == "schedule":
         from tools.dbw.schedule import schedule  # noqa: PLC0415
 
@@ -243,9 +249,8 @@ def make_parser() -> argparse.ArgumentParser:
     decode.add_argument("frame", metavar="ID#DATA", help="as can-utils write it: 57A#2D07050000000000")
     decode.add_argument("--bus", metavar="BUS", help="CAN1, CAN3, CAN-A or CAN-S (default: wherever the identifier is)")
 
-    check = tasks.add_parser("check", help="everything in a recording that is not what the DBC files say")
-    check.add_argument("log", type=Path, help="candump (.log), BLF, ASC, TRC or MF4, each also .gz")
-    check.add_argument("--bus", metavar="BUS", help="of all frames: CAN1, CAN3, CAN-A or CAN-S (default: by channel)")
+    check = tasks.add_parser("check", help="everything in a recording or on a bus that is not what the DBC files say")
+    _add_source(check)
     check.add_argument(
         "--counter",
         choices=["automatic", "plus-one", "changed"],
@@ -255,6 +260,16 @@ def make_parser() -> argparse.ArgumentParser:
     check.add_argument("--timing", action="store_true", help="show the times between the frames of each message")
     check.add_argument("--json", type=Path, metavar="FILE", help="write findings and times between frames")
     check.add_argument("--junit", type=Path, metavar="FILE", help="write a test case per message as JUnit XML")
+    monitor = tasks.add_parser("monitor", help="a table of what is on a bus now: values, ages, counters, offenders")
+    _add_source(monitor)
+    monitor.add_argument(
+        "--message",
+        action="append",
+        default=[],
+        metavar="PATTERN",
+        help="only messages of this name or identifier, * and ? as in file names; may be repeated",
+    )
+    monitor.add_argument("--once", action="store_true", help="no moving table: print the last one, and that at once")
     lint = tasks.add_parser("lint", help="what is wrong or missing in a DBC file")
     lint.add_argument("file", type=Path, help="DBC file")
     diff = tasks.add_parser("diff", help="how one DBC file differs from another")
@@ -268,7 +283,7 @@ def make_parser() -> argparse.ArgumentParser:
     )
     profiles = tasks.add_parser("profiles", help="which layouts of CAN1 there are, or how one differs from another")
     profiles.add_argument("names", nargs="*", metavar="PROFILE", help="two, to compare; none, to list")
-    for task in (encode, decode, check, schedule):
+    for task in (encode, decode, check, monitor, schedule):
         task.add_argument("--profile", default=DEFAULT_PROFILE, help=f"layout of CAN1 (default: {DEFAULT_PROFILE})")
 
     bench = commands.add_parser("bench", help="measure the loop against the plain loop a user would write")
@@ -277,6 +292,19 @@ def make_parser() -> argparse.ArgumentParser:
         "--simulated-s", type=_positive, default=40.0, metavar="S", help="simulated seconds per run (default: 40)"
     )
     return parser
+
+
+def _add_source(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "source",
+        nargs="+",
+        metavar="SOURCE",
+        help="a recording (candump .log, BLF, ASC, TRC or MF4, each also .gz), or buses in use, each"
+        " [BUS=]INTERFACE:CHANNEL: socketcan:vcan0, socketcand:127.0.0.1:29536/CAN1, CAN1=slcan:/dev/ttyACM0,"
+        " or any other of python-can's",
+    )
+    parser.add_argument("--bus", metavar="BUS", help="of all frames: CAN1, CAN3, CAN-A or CAN-S (default: by channel)")
+    parser.add_argument("--seconds", type=_positive, metavar="S", help="listen so long (default: until Ctrl-C)")
 
 
 def _positive(text: str) -> float:

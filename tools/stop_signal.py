@@ -1,9 +1,9 @@
-"""How commands that have processes to end take Ctrl-C and SIGTERM."""
+"""How commands that have something to put in order at their end take Ctrl-C and SIGTERM."""
 
 from __future__ import annotations
 
 import signal
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 
@@ -31,3 +31,26 @@ def not_to_be_stopped() -> Iterator[None]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+@contextmanager
+def asked_to_stop() -> Iterator[Callable[[], bool]]:
+    """Give a function that tells whether one of them has come in; a second one acts as ever."""
+    numbers = (signal.SIGINT, signal.SIGTERM)
+    came = False
+
+    def note(_number: int, _frame: FrameType | None) -> None:
+        nonlocal came
+        came = True
+        restore()
+
+    before = {number: signal.signal(number, note) for number in numbers}
+
+    def restore() -> None:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+    try:
+        yield lambda: came
+    finally:
+        restore()

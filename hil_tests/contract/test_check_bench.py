@@ -10,7 +10,7 @@ from rich.console import Console
 
 from bridge.scenario import load_scenario
 from tools.check_bench import bench_check, check, decode, record
-from tools.dbw.log_source import CHUNK
+from tools.dbw.chunk import CHUNK
 from tools.run import DEFAULT_SCENARIO
 
 
@@ -20,13 +20,17 @@ def test_both_read_all_frames_of_the_log(tmp_path: Path):
     assert check(log) == decode(log) == lines > 4000
 
 
-def test_figures_are_printed():
+def test_figures_are_printed_for_every_kind_of_log():
     console = Console(width=200, highlight=False, color_system=None)
     with console.capture() as captured:
-        bench_check(load_scenario(DEFAULT_SCENARIO), 2, 0.5, console)
+        bench_check(load_scenario(DEFAULT_SCENARIO), 2, console, 0.5)
     page = captured.get()
-    assert len(re.findall(r"min \d+\.\d+, median \d+\.\d+, max \d+\.\d+", page)) == 3
-    assert re.search(r"\(target 20: (met|missed)\)$", page, re.MULTILINE)
+    rows = re.findall(r"^│ (\.\w+) +│ +(\d+) │(?: +\d+\.\d+ │){6} +\d+\.\d (\d+\.\d) \d+\.\d │$", page, re.MULTILINE)
+    assert [kind for kind, _, _ in rows] == [".log", ".blf", ".asc", ".trc"]
+    assert len({frames for _, frames, _ in rows}) == 1
+    assert all(float(ratio) > 1 for _, _, ratio in rows)
+    assert re.search(r"^memory at most: \d+ MB; with a log 4 times as long \d+ MB$", page, re.MULTILINE)
+    assert re.search(r"^loop / check: .* \(target 20: (met|missed)\)$", page, re.MULTILINE)
 
 
 def peak_bytes(log: Path) -> int:

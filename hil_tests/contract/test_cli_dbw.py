@@ -5,18 +5,24 @@ from __future__ import annotations
 import re
 import shlex
 import shutil
+import threading
 from pathlib import Path
 
+import can
 import numpy as np
 import pytest
 from cli_harness import Answer, Command, assert_one_line, command, edit
 from golden_frames import GOLDEN, GoldenFrame
+from hub_process import Hub
 
 from dbc.buses import DIRECTORY
 from dbc.codec import MessageCodec, database
 from dbc.network import raw_limits
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "dbw.md"
+
+PORT = "29536"
+"""Of the hub, unless another is given."""
 
 SEED = 20221103
 
@@ -223,7 +229,46 @@ def test_the_guide_shows_what_is_printed(raceloop: Command, tmp_path: Path, monk
     (tmp_path / "drive.log").write_text(log)
     monkeypatch.chdir(tmp_path)
     shown = re.findall(r"^```sh\n(raceloop dbw [^\n]*)\n```\n\n```text\n(.*?)^```", PAGE.read_text(), re.M | re.S)
-    assert {line.split()[2] for line, _ in shown} == {"encode", "decode", "lint", "diff", "check", "profiles"}
+    assert {line.split()[2] for line, _ in shown} == {
+        "encode",
+        "decode",
+        "lint",
+        "diff",
+        "check",
+        "monitor",
+        "profiles",
+    }
+    on_the_hub = [line for line, _ in shown if PORT in line]
+    assert len(on_the_hub) == 1
     for line, out in shown:
-        answer = raceloop(*shlex.split(line)[1:])
-        assert answer.out + answer.error == out, line
+        if line not in on_the_hub:
+            answer = raceloop(*shlex.split(line)[1:])
+            assert answer.out + answer.error == out, line
+
+
+def test_the_guide_shows_what_is_printed_of_a_bus_in_use(raceloop: Command, tmp_path: Path):
+    """Numbers of frames and times are those of the moment."""
+    ((line, out),) = re.findall(
+        rf"^```sh\n(raceloop [^\n]*{PORT}[^\n]*)\n```\n\n```text\n(.*?)^```", PAGE.read_text(), re.M | re.S
+    )
+    over = threading.Event()
+    with Hub(tmp_path) as hub:
+
+        def talk() -> None:
+            with hub.client() as mouth:
+                while not over.wait(0.01):
+                    mouth.send(can.Message(arbitration_id=0x123, is_extended_id=False, data=[0]))
+
+        talking = threading.Thread(target=talk)
+        talking.start()
+        try:
+            answer = raceloop(*shlex.split(line.replace(PORT, str(hub.port)))[1:])
+        finally:
+            over.set()
+            talking.join()
+        shown = (answer.out + answer.error).replace(str(hub.port), PORT)
+    assert of_any_moment(shown) == of_any_moment(out)
+
+
+def of_any_moment(text: str) -> str:
+    return re.sub(r"at \d+\.\d{6} s", "at T s", re.sub(r"\d+ (times|frames)", r"N \1", text))

@@ -13,7 +13,8 @@ from bridge.replay import replay_obc
 from bridge.scenario import Condition, load_scenario
 from dbc.codec import profile
 from dbc.frames import Bus
-from tools.dbw.conformance import Conformance, Rule
+from tools.dbw.conformance import Conformance
+from tools.dbw.findings import Rule
 from tools.run import build_bench, find_scenario
 
 PROFILES = ("V14", "V26")

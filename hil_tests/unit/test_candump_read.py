@@ -8,7 +8,7 @@ import pytest
 
 from bridge._native import ffi, lib
 from dbc.frames import FRAME_SIZE, Bus, Flag, Frame, iterate
-from tools.dbw.log_source import candump_line
+from tools.dbw.candump_log import candump_line
 
 SEED = 20221103
 ROOM = 64

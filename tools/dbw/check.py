@@ -1,8 +1,8 @@
-"""`raceloop dbw check`: everything in a recording that is not what the DBC files say."""
+"""`raceloop dbw check`: everything in a recording or on a bus that is not what the DBC files say."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ from tools.dbw.bus_option import bus_of
 from tools.dbw.conformance import Conformance
 from tools.dbw.counters import CounterMode
 from tools.dbw.findings import Finding, Place, Rule
-from tools.dbw.log_source import read_chunks
+from tools.dbw.source import read_source
 from tools.exit_status import ExitStatus
 from tools.output_files import write_json, write_text
 
@@ -36,14 +36,22 @@ class Outputs:
 
 
 def check(
-    database: Codec, path: Path, bus: str | None, counter_mode: CounterMode, outputs: Outputs, console: Console
+    database: Codec,
+    sources: Sequence[str],
+    bus: str | None,
+    seconds: float | None,
+    counter_mode: CounterMode,
+    outputs: Outputs,
+    console: Console,
 ) -> int:
-    """Check a recording by a profile and print what was found; returns the exit status, a miss when there is something.
+    """Check a recording, or buses in use, and print what was found; returns the exit status.
+
+    It is a miss when there is something. For the sources see `tools.dbw.source.read_source`.
 
     Raises
     ------
     RaceloopError
-        When the recording cannot be read at all, the bus does not exist, or a file cannot be written.
+        When the source cannot be read at all, the bus does not exist, or a file cannot be written.
     """
     chosen = None if bus is None else bus_of(bus)
     conformance = Conformance(database, counter_mode)
@@ -51,19 +59,20 @@ def check(
     def broken(frame: int, text: str) -> None:
         conformance.note(Place(Rule.BROKEN), 1, frame, 0, text)
 
-    for chunk in read_chunks(path, chosen, broken):
+    for chunk in read_source(sources, chosen, seconds, broken):
         conformance.update(chunk)
     conformance.finish()
+    source = " ".join(sources)
     findings = sorted(conformance.findings.values(), key=lambda finding: finding.first_frame)
     if outputs.json is not None:
-        write_json(outputs.json, as_json(path, conformance, findings))
+        write_json(outputs.json, as_json(source, conformance, findings))
     if outputs.junit is not None:
-        write_text(outputs.junit, as_junit(path, conformance, findings))
-    _show(path, conformance, findings, outputs.timing, console)
+        write_text(outputs.junit, as_junit(source, conformance, findings))
+    _show(source, conformance, findings, outputs.timing, console)
     return ExitStatus.MISSED if findings else ExitStatus.DONE
 
 
-def _show(path: Path, conformance: Conformance, findings: list[Finding], timing: bool, console: Console) -> None:
+def _show(source: str, conformance: Conformance, findings: list[Finding], timing: bool, console: Console) -> None:
     """A line per finding, so that other programs can search them."""
     for finding in findings:
         console.print(f"{finding.place.subject}: {_words(finding)}", markup=False)
@@ -71,7 +80,7 @@ def _show(path: Path, conformance: Conformance, findings: list[Finding], timing:
         for line in _timing_table(conformance):
             console.print(line, markup=False)
     counts = f"{conformance.frames} frames of {len(conformance.timings)} messages"
-    console.print(f"{path}: {counts}, {len(findings)} finding{'' if len(findings) == 1 else 's'}", markup=False)
+    console.print(f"{source}: {counts}, {len(findings)} finding{'' if len(findings) == 1 else 's'}", markup=False)
 
 
 def _words(finding: Finding) -> str:
@@ -109,10 +118,10 @@ def _timeouts(conformance: Conformance, codec: MessageCodec) -> int:
     return 0 if found is None else found.count
 
 
-def as_json(path: Path, conformance: Conformance, findings: list[Finding]) -> dict[str, Any]:
+def as_json(source: str, conformance: Conformance, findings: list[Finding]) -> dict[str, Any]:
     """Findings, and the times between the frames of every message."""
     return {
-        "source": str(path),
+        "source": source,
         "frames": conformance.frames,
         "findings": [
             {
@@ -146,13 +155,13 @@ def as_json(path: Path, conformance: Conformance, findings: list[Finding]) -> di
     }
 
 
-def as_junit(path: Path, conformance: Conformance, findings: list[Finding]) -> str:
+def as_junit(source: str, conformance: Conformance, findings: list[Finding]) -> str:
     """A test case per message that was seen or has findings; JUnit XML."""
     by_message: dict[str, list[Finding]] = {name: [] for name in conformance.timings}
     for finding in findings:
         by_message.setdefault(finding.place.message or finding.place.subject, []).append(finding)
     failed = sum(bool(found) for found in by_message.values())
-    suite = ElementTree.Element("testsuite", name=str(path), tests=str(len(by_message)), failures=str(failed))
+    suite = ElementTree.Element("testsuite", name=source, tests=str(len(by_message)), failures=str(failed))
     for name, found in by_message.items():
         case = ElementTree.SubElement(suite, "testcase", classname="dbw", name=name)
         if found:
