@@ -19,6 +19,9 @@ from tools.dbw.text_log import Usual, read_text
 
 _BASE = re.compile(r"base\s+(hex|dec)", re.IGNORECASE)
 
+#: What a line with a frame looks like at least; most others are events of other kinds, of which there may be many.
+_FRAME = re.compile(r"\d+\.\d+\s.*(?:[RT]x|ErrorFrame|CANFD)", re.IGNORECASE)
+
 
 class _Reader:
     """Lines of one log.
@@ -51,6 +54,8 @@ class _Reader:
         """Any other line."""
         if base := _BASE.match(line):
             self._base = base[1].lower()
+        if not _FRAME.match(line):
+            return b""
         # The reader takes the lines before the first event for a header.
         text = io.StringIO(f"base {self._base}  timestamps absolute\ninternal events logged\n{line}\n")
         try:

@@ -100,7 +100,8 @@ def _show(
             table.update(frames, now_us)
             if now_us - shown_us >= REFRESH_US:
                 shown_us = now_us
-                live.update(_page(picture(table, now_us, patterns)), refresh=True)
+                # What the terminal has no room for costs most of the time.
+                live.update(_page(picture(table, now_us, patterns)[: console.height]), refresh=True)
     return now_us
 
 
