@@ -156,6 +156,19 @@ def test_a_serial_adapter(monkeypatch: pytest.MonkeyPatch):
     assert set(frames["bus"].tolist()) == {Bus.CAN1}
 
 
+def test_a_simulated_wire():
+    """The plug-in simcan, by python-can's entry points, by the wall clock."""
+    with (
+        can.Bus(interface="simcan", channel="live", queue="priority") as sender,
+        LiveSource([parse("CAN1=simcan:live", None)], pytest.fail) as source,
+    ):
+        for number in range(COUNT):
+            sender.send(can.Message(arbitration_id=STEERING.frame_id, data=steering(number), is_extended_id=False))
+        frames = first(source, COUNT)
+    assert [bytes(data) for data in frames["data"]] == [steering(number) for number in range(COUNT)]
+    assert np.all(np.diff(frames["time_us"].astype(np.int64)) > 200)
+
+
 @pytest.mark.parametrize(
     ("address", "told"),
     [
