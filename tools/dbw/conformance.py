@@ -6,7 +6,7 @@ Frames come in pieces; what a check keeps does not grow with their number.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,7 +24,8 @@ from tools.dbw.findings import Finding, Findings, Offence, Place, Rule
 from tools.dbw.history import Histories, Piece
 from tools.dbw.relations import Judgement, Likeness, Pair, Relation
 from tools.dbw.sequences import Sequence, sequences
-from tools.dbw.signal_rules import Motion, NamedValues, Order, Resolution, Setting, SignalRule, Slew, steps
+from tools.dbw.series import steps
+from tools.dbw.signal_rules import Motion, NamedValues, Order, Resolution, Setting, SignalRule, Slew
 from tools.dbw.timing import Timing
 
 __all__ = ["Conformance", "CounterMode", "Finding", "Offence", "Place", "Rule", "Timing", "crc16"]
@@ -55,36 +56,33 @@ _STATUS_RULES = {
 
 @dataclass(frozen=True)
 class _Ranges:
-    """Declared ranges, for all signals of a message that have one.
+    """Declared ranges of the signals of a message; without limit where none is declared.
 
     Attributes
     ----------
-    rows : of the signals in decoded columns.
-    low, high : what is allowed, shape (signals, 1), with what a decimal scale loses in binary.
-    declared : what the DBC file says.
+    low, high : what is allowed, shape (signals,), with what a decimal scale loses in binary.
+    declared : by row, what the DBC file says.
     """
 
-    rows: tuple[int, ...]
     low: NDArray[np.float64]
     high: NDArray[np.float64]
-    declared: tuple[tuple[float, float], ...]
+    declared: Mapping[int, tuple[float, float]]
 
     @classmethod
     def of(cls, codec: MessageCodec, facts: MessageFacts) -> _Ranges:
         """Those of a message."""
-        rows, declared, slack = [], [], []
+        low, high = np.full(len(codec.signals), -np.inf), np.full(len(codec.signals), np.inf)
+        declared = {}
         for row, signal in enumerate(codec.definition.signals):
             # Counter and CRC have rules of their own; public files declare ranges for them that no sender keeps to.
             has_range = signal.minimum is not None or signal.maximum is not None
             if has_range and signal not in (facts.counter, facts.crc):
-                low = -np.inf if signal.minimum is None else float(signal.minimum)
-                high = np.inf if signal.maximum is None else float(signal.maximum)
-                rows.append(row)
-                declared.append((low, high))
-                slack.append(1e-6 * abs(float(signal.scale)))
-        limits = np.array(declared, dtype=np.float64).reshape(-1, 2)
-        margin = np.array(slack).reshape(-1, 1)
-        return cls(tuple(rows), limits[:, :1] - margin, limits[:, 1:] + margin, tuple(declared))
+                slack = 1e-6 * abs(float(signal.scale))
+                smallest = -np.inf if signal.minimum is None else float(signal.minimum)
+                largest = np.inf if signal.maximum is None else float(signal.maximum)
+                declared[row] = (smallest, largest)
+                low[row], high[row] = smallest - slack, largest + slack
+        return cls(low, high, declared)
 
 
 @dataclass(frozen=True)
@@ -129,7 +127,7 @@ class _Plan:
             _unused_bits(codec.definition),
             ranges,
             tuple(rules),
-            related or bool(rules) or bool(ranges.rows),
+            related or bool(rules) or bool(ranges.declared),
         )
 
 
@@ -225,7 +223,8 @@ class Conformance:
         self._check_clock(frames, numbers)
         index = self.database.identify(frames)
         self._check_acceptance(frames, numbers, index)
-        order = np.argsort(index, kind="stable")
+        # Short integers, which numpy sorts in linear time.
+        order = np.argsort(index.astype(np.int16), kind="stable")
         bounds = np.searchsorted(index[order], np.arange(len(self.database) + 1))
         numbers = numbers[order]
         # As words, which numpy moves several times as fast as records.
@@ -262,9 +261,21 @@ class Conformance:
         self.findings.note(place, Offence(count, frame, time_us, text))
 
     def _check_clock(self, frames: NDArray[np.void], numbers: NDArray[np.int64]) -> None:
+        times = frames["time_us"].astype(np.int64)
+        buses = np.ascontiguousarray(frames["bus"])
+        if len(times) and times[0] >= max(self._newest_us.values(), default=0) and (times[1:] >= times[:-1]).all():
+            for bus in Bus:
+                last = (buses == bus).nonzero()[0][-1:]
+                if last.size:
+                    self._newest_us[bus] = int(times[last[0]])
+            return
+        self._check_clocks(times, buses, numbers)
+
+    def _check_clocks(self, all_times: NDArray[np.int64], buses: NDArray[np.uint8], numbers: NDArray[np.int64]) -> None:
+        """Of each bus by itself: the logger may have written them one behind the other."""
         for bus in Bus:
-            mine = frames["bus"] == bus
-            times = frames["time_us"][mine].astype(np.int64)
+            mine = buses == bus
+            times = all_times[mine]
             if not times.size:
                 continue
             before = np.concatenate([[self._newest_us.get(bus, int(times[0]))], times[:-1]])
@@ -296,8 +307,9 @@ class Conformance:
         """Check frames of a message; gives those that a receiver takes, decoded, if their values are of interest."""
         times = frames["time_us"].astype(np.int64)
         self._check_intervals(codec, numbers, times)
-        longer = np.flatnonzero(frames["dlc"] > codec.length)
-        if longer.size:
+        too_long = frames["dlc"] > codec.length
+        if np.count_nonzero(too_long):
+            longer = np.flatnonzero(too_long)
             text = f"{frames['dlc'][longer[0]]} data bytes; the message has {codec.length}"
             self.findings.note(Place(Rule.LONG, codec.bus, codec.name), Offence.of(longer, numbers, times, text))
         plan = self._plans[codec.name]
@@ -343,8 +355,9 @@ class Conformance:
         timing.last_frame, timing.last_us = int(numbers[-1]), int(times[-1])
         timing.add(intervals)
         if codec.timeout_us:
-            late = np.flatnonzero(intervals > codec.timeout_us)
-            if late.size:
+            too_late = intervals > codec.timeout_us
+            if np.count_nonzero(too_late):
+                late = np.flatnonzero(too_late)
                 longest_ms = codec.timeout_us // 1000
                 text = f"{intervals[late[0]] / 1000:.1f} ms since the frame before; the time-out is {longest_ms} ms"
                 self.findings.note(Place(Rule.TIMEOUT, codec.bus, codec.name), Offence.of(late, numbers, times, text))
@@ -379,8 +392,8 @@ class Conformance:
         numbers: NDArray[np.int64],
         times: NDArray[np.int64],
     ) -> None:
-        stray = np.flatnonzero(words & unused) if unused else np.empty(0, dtype=np.intp)
-        if stray.size:
+        if np.bitwise_or.reduce(words) & unused:
+            stray = np.flatnonzero(words & unused)
             bits = int(words[stray[0]] & unused)
             places = [str(place) for place in range(64) if bits >> place & 1]
             one = len(places) == 1
@@ -389,17 +402,17 @@ class Conformance:
             self.findings.note(Place(Rule.UNUSED, codec.bus, codec.name), Offence.of(stray, numbers, times, text))
 
     def _check_ranges(self, piece: Piece, ranges: _Ranges) -> None:
-        if not ranges.rows:
+        if not ranges.declared:
             return
-        values = piece.values[list(ranges.rows)]
-        outside = (values < ranges.low) | (values > ranges.high)
-        for place in np.flatnonzero(outside.any(axis=1)):
-            rows = np.flatnonzero(outside[place])
-            low, high = ranges.declared[place]
-            text = f"{values[place, rows[0]]:g}; declared is {low:g} to {high:g}"
-            signal = piece.codec.signals[ranges.rows[place]]
-            offence = Offence.of(rows, piece.numbers, piece.times, text)
-            self.findings.note(Place(Rule.RANGE, piece.codec.bus, piece.codec.name, signal), offence)
+        below = np.minimum.reduce(piece.values, axis=1) < ranges.low
+        above = np.maximum.reduce(piece.values, axis=1) > ranges.high
+        for row in (below | above).nonzero()[0].tolist():
+            values = piece.values[row]
+            outside = np.flatnonzero((values < ranges.low[row]) | (values > ranges.high[row]))
+            low, high = ranges.declared[row]
+            text = f"{values[outside[0]]:g}; declared is {low:g} to {high:g}"
+            place = Place(Rule.RANGE, piece.codec.bus, piece.codec.name, piece.codec.signals[row])
+            self.findings.note(place, Offence.of(outside, piece.numbers, piece.times, text))
 
     def _check_relations(self, seen: set[str]) -> None:
         for judgement in self._judgements:

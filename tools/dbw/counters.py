@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tools.dbw.findings import Offence, Rule
+from tools.dbw.series import steps
 
 
 class CounterMode(StrEnum):
@@ -53,23 +54,28 @@ class Counter:
         self, values: NDArray[np.int64], times: NDArray[np.int64], numbers: NDArray[np.int64]
     ) -> Iterator[tuple[Rule, Offence]]:
         """Take in values; at least one."""
-        before = np.concatenate([[values[0] - 1 if self.last is None else self.last], values[:-1]])
+        before = int(values[0]) - 1 if self.last is None else self.last
+        changes = steps(values, before)
         self.last = int(values[-1])
-        self.highest = max(self.highest, int(values.max()))
-        stuck = np.flatnonzero(values == before)
+        self.highest = max(self.highest, int(np.maximum.reduce(values)))
+        # Few frames are of interest: those at which the counter does not go up by one.
+        rows = (changes != 1).nonzero()[0]
+        stuck = rows[changes[rows] == 0]
         if stuck.size:
             yield Rule.STUCK, Offence.of(stuck, numbers, times, f"stays at {values[stuck[0]]}")
-        if self.mode is CounterMode.CHANGED:
+        jump = rows[changes[rows] != 0]
+        if self.mode is CounterMode.CHANGED or not jump.size:
             return
-        jump = np.flatnonzero((values != before) & (values != before + 1))
         to_0 = jump[values[jump] == 0]
-        for value in np.unique(before[to_0]):
-            new = Offence.of(to_0[before[to_0] == value], numbers, times, f"{value} is followed by 0")
+        before_0 = (values - changes)[to_0]
+        for value in np.unique(before_0):
+            new = Offence.of(to_0[before_0 == value], numbers, times, f"{value} is followed by 0")
             old = self.jumps_to_0.get(int(value))
             self.jumps_to_0[int(value)] = new if old is None else replace(old, count=old.count + new.count)
         others = jump[values[jump] != 0]
         if others.size:
-            text = f"{before[others[0]]} is followed by {values[others[0]]}"
+            row = others[0]
+            text = f"{values[row] - changes[row]} is followed by {values[row]}"
             yield Rule.JUMP, Offence.of(others, numbers, times, text)
 
     def finish(self) -> Iterator[tuple[Rule, Offence]]:

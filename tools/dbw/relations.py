@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from dbc.buses import Bus
 from tools.dbw.findings import Offence, Place, Rule
 from tools.dbw.history import Histories, History, Window
+from tools.dbw.series import steps
 from tools.dbw.signal_rules import Runs
 
 Convert = Callable[..., NDArray[np.float64]]
@@ -62,6 +63,9 @@ _AGE_CYCLES = 1.5
 _TIE = 0.01
 
 
+_NO_LIMITS = (-np.inf, np.inf)
+
+
 @dataclass(frozen=True)
 class Relation:
     """A signal and what it has to agree with.
@@ -96,7 +100,7 @@ class Relation:
     exact: bool = False
     tolerance: float = 0.0
     share: float = 0.0
-    limits: tuple[float, float] = (-np.inf, np.inf)
+    limits: tuple[float, float] = _NO_LIMITS
     conditions: tuple[Condition, ...] = ()
     steady_us: int = 0
     at: str = ""
@@ -155,39 +159,96 @@ class Judgement:
         self._next = trigger.dropped + end
         moments = trigger.times[begin:end]
         target = histories[relation.message]
-        rows = target.newest(moments) if relation.at else np.arange(begin, end)
-        judged = rows >= 0
-        rows = np.maximum(rows, 0)
-        judged &= moments - target.times[rows] <= _SAME_CYCLE_US if len(target.times) else False
-        for condition in relation.conditions:
-            judged &= self._holds(condition, histories[condition.message], moments)
-        if not judged.any():
-            # Nothing to look at; what was wrong before is not in a row with what comes.
-            yield from self._tell(self._wrong, relation.rule, judged, moments, moments, str)
+        if not len(target.times) or not all(len(histories[source.message].times) for source in relation.sources):
             return
+        rows = np.maximum(target.newest(moments), 0) if relation.at else np.arange(begin, end)
         values, numbers, times = target.signal(relation.signal)[rows], target.numbers[rows], target.times[rows]
-        sources = [self._candidates(source, histories, moments, judged) for source in relation.sources]
-        if not judged.any():
-            yield from self._tell(self._wrong, relation.rule, judged, times, numbers, str)
-            return
-        words = partial(self._words, values, sources)
-        right = (values >= relation.limits[0]) & (values <= relation.limits[1])
-        if relation.exact:
+        right = self._glance(values, histories, moments)
+        wrong, cut = ~right, np.zeros(len(values), dtype=np.bool_)
+        places = wrong.nonzero()[0]
+        words: Callable[[int], str] = str
+        if len(places):
+            wrong[places], cut[places], sources = self._look(values[places], histories, moments[places], times[places])
+            words = partial(self._words, values, sources, places)
+            if relation.exact:
+                # Only where rounding and cutting off differ.
+                rounded = right & self._longer(values, histories, moments)
+                telling = (cut | wrong | rounded).nonzero()[0]
+                yield from self._tell(
+                    self._cut,
+                    Rule.ROUNDING,
+                    cut[telling],
+                    times[telling],
+                    numbers[telling],
+                    lambda row: f"{words(int(telling[row]))}, cut off and not rounded",
+                )
+        yield from self._tell(self._wrong, relation.rule, wrong, times, numbers, words)
+
+    def _glance(
+        self, values: NDArray[np.float64], histories: Histories, moments: NDArray[np.int64]
+    ) -> NDArray[np.bool_]:
+        """Which values the newest ones of the sources explain, as nearly always.
+
+        Before the first value of a source it is its last one; such a frame is not judged anyway.
+        """
+        relation = self.relation
+        newest = [self._newest(source, histories, moments) for source in relation.sources]
+        right: NDArray[np.bool_]
+        if len(newest) == 1:
+            right = np.abs(values - newest[0]) <= self._slack(newest[0])
+        elif newest:
+            low = np.minimum.reduce([one - self._slack(one) for one in newest])
+            high = np.maximum.reduce([one + self._slack(one) for one in newest])
+            right = (values >= low) & (values <= high)
+        if newest and relation.limits == _NO_LIMITS:
+            return right
+        inside: NDArray[np.bool_] = (values >= relation.limits[0]) & (values <= relation.limits[1])
+        return inside & right if newest else inside
+
+    def _newest(self, source: Source, histories: Histories, moments: NDArray[np.int64]) -> NDArray[np.float64]:
+        """What a source has in the same cycle."""
+        rows = histories[source.message].newest(moments + min(self.relation.lead_us, _SAME_CYCLE_US))
+        newest: NDArray[np.float64] = source.values(histories)[rows]
+        return newest
+
+    def _longer(
+        self, values: NDArray[np.float64], histories: Histories, moments: NDArray[np.int64]
+    ) -> NDArray[np.bool_]:
+        """Which values are rounded away from 0."""
+        newest = self._newest(self.relation.sources[-1], histories, moments)
+        longer: NDArray[np.bool_] = np.abs(values - self.offset) > np.abs(newest - self.offset) + _TIE * self.scale
+        return longer
+
+    def _slack(self, candidate: NDArray[np.float64]) -> NDArray[np.float64] | float:
+        """By how much a value may be beside one of a source."""
+        if self.relation.exact:
+            return (0.5 + _TIE) * self.scale
+        if not self.relation.share:
+            return self.relation.tolerance + 1e-6 * self.scale
+        return self.relation.tolerance + self.relation.share * np.abs(candidate) + 1e-6 * self.scale
+
+    def _look(
+        self,
+        values: NDArray[np.float64],
+        histories: Histories,
+        moments: NDArray[np.int64],
+        times: NDArray[np.int64],
+    ) -> tuple[NDArray[np.bool_], NDArray[np.bool_], list[_Candidates]]:
+        """Of some values: which of them nothing explains, which are cut off, and what they were compared with."""
+        judged = (times <= moments) & (moments - times <= _SAME_CYCLE_US)
+        for condition in self.relation.conditions:
+            judged &= self._holds(condition, histories[condition.message], moments)
+        sources = [self._candidates(source, histories, moments, judged) for source in self.relation.sources]
+        cut = np.zeros(len(values), dtype=np.bool_)
+        if not judged.any() or not sources:
+            return judged, cut, sources
+        if self.relation.exact:
             right, cut = self._compare_exactly(values, judged, sources)
-            # Only where rounding and cutting off differ.
-            places = np.flatnonzero(judged & (right != cut))
-            yield from self._tell(
-                self._cut,
-                Rule.ROUNDING,
-                cut[places],
-                times[places],
-                numbers[places],
-                lambda row: f"{words(int(places[row]))}, cut off and not rounded",
-            )
-            right = right | cut
-        elif sources:
-            right &= self._between(values, sources)
-        yield from self._tell(self._wrong, relation.rule, judged & ~right, times, numbers, words)
+            cut &= ~right
+        else:
+            right = self._between(values, sources)
+            right &= (values >= self.relation.limits[0]) & (values <= self.relation.limits[1])
+        return judged & ~right & ~cut, cut, sources
 
     def _tell(
         self,
@@ -235,30 +296,31 @@ class Judgement:
         raw = (values - self.offset) / self.scale
         right = np.zeros(len(values), dtype=np.bool_)
         for candidates in sources:
-            for places, candidate in candidates.each(np.flatnonzero(judged & ~right), right):
+            for places, candidate in candidates.each((judged & ~right).nonzero()[0], right):
                 right[places] = np.abs(raw[places] - (candidate - self.offset) / self.scale) <= 0.5 + _TIE
         cut = np.zeros(len(values), dtype=np.bool_)
-        if not right[judged].all():
-            for candidates in sources:
-                for places, candidate in candidates.each(np.flatnonzero(judged), cut):
-                    wanted = (candidate - self.offset) / self.scale
-                    shorter = np.abs(wanted) - np.abs(raw[places])
-                    cut[places] = (shorter > -_TIE) & (shorter < 1.0) & (raw[places] * wanted >= 0.0)
-        else:
-            cut[:] = right
+        for candidates in sources:
+            for places, candidate in candidates.each((judged & ~right).nonzero()[0], cut):
+                wanted = (candidate - self.offset) / self.scale
+                shorter = np.abs(wanted) - np.abs(raw[places])
+                cut[places] = (shorter > 0.5 + _TIE) & (shorter < 1.0) & (raw[places] * wanted >= 0.0)
         return right, cut
 
     def _between(self, values: NDArray[np.float64], sources: list[_Candidates]) -> NDArray[np.bool_]:
         """Which values are within what the sources had, give or take the tolerance."""
         low, high = np.full(len(values), np.inf), np.full(len(values), -np.inf)
         for candidates in sources:
-            slack = self.relation.tolerance + self.relation.share * np.abs(candidates.values) + 1e-6 * self.scale
+            slack = self._slack(candidates.values)
             np.minimum(low, -_largest(slack - candidates.values, candidates.window), out=low)
             np.maximum(high, _largest(slack + candidates.values, candidates.window), out=high)
         return (values >= low) & (values <= high)
 
-    def _words(self, values: NDArray[np.float64], sources: list[_Candidates], row: int) -> str:
-        wanted = "".join(f" {one.values[one.window.last[row]]:g}" for one in sources[-1:])
+    def _words(
+        self, values: NDArray[np.float64], sources: list[_Candidates], places: NDArray[np.intp], row: int
+    ) -> str:
+        """For a row of the values, which is one of the places that the sources are for."""
+        place = int(np.searchsorted(places, row))
+        wanted = "".join(f" {one.values[one.window.last[place]]:g}" for one in sources[-1:])
         return f"{values[row]:g}; {self.relation.says}{wanted}"
 
 
@@ -287,7 +349,7 @@ def _largest(values: NDArray[np.float64], window: Window) -> NDArray[np.float64]
     largest = np.empty(len(lengths))
     blocks, length = values, 1
     while True:
-        mine = np.flatnonzero((lengths >= length) & (lengths < 2 * length))
+        mine = ((lengths >= length) & (lengths < 2 * length)).nonzero()[0]
         if len(mine):
             first, last = blocks[window.first[mine]], blocks[window.last[mine] + 1 - length]
             largest[mine] = np.maximum(first, last)
@@ -339,6 +401,7 @@ class Likeness:
     bus: Bus
     alike: bool = True
     changes: int = 0
+    count: int = 0
     low: float = np.inf
     high: float = -np.inf
     last: float = np.nan
@@ -359,8 +422,8 @@ class Likeness:
         self.alike = bool((apart <= allowed + 1e-6 * self.scale).all())
         if self.first is None:
             self.first, self.last = Offence(0, int(numbers[0]), int(times[0]), ""), float(values[0])
-        self.first = replace(self.first, count=self.first.count + len(values))
-        self.changes += int(np.count_nonzero(np.diff(values, prepend=self.last)))
+        self.count += len(values)
+        self.changes += int(np.count_nonzero(steps(values, self.last)))
         self.last = float(values[-1])
         self.low, self.high = min(self.low, float(values.min())), max(self.high, float(values.max()))
 
@@ -373,4 +436,7 @@ class Likeness:
                 pair.other_signal if pair.other_message == pair.message else f"{pair.other_message}.{pair.other_signal}"
             )
             text = f"always what {other} is, in {self.changes} changes; one of them is a copy"
-            yield Place(Rule.COPY, self.bus, pair.message, pair.signal), replace(self.first, text=text)
+            yield (
+                Place(Rule.COPY, self.bus, pair.message, pair.signal),
+                replace(self.first, count=self.count, text=text),
+            )

@@ -8,27 +8,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Protocol, TypeVar
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tools.dbw.findings import Offence, Rule
 from tools.dbw.sequences import Sequence
+from tools.dbw.series import steps
 
 Values = NDArray[np.float64]
 Times = NDArray[np.int64]
 Numbers = NDArray[np.int64]
-
-_Number = TypeVar("_Number", np.float64, np.int64)
-
-
-def steps(values: NDArray[_Number], before: float) -> NDArray[_Number]:
-    """Difference of each value to the one before it; `before` is the one before the first."""
-    differences = np.empty_like(values)
-    differences[0] = values[0] - before
-    np.subtract(values[1:], values[:-1], out=differences[1:])
-    return differences
 
 
 class SignalRule(Protocol):
@@ -88,6 +79,8 @@ class NamedValues(_AtOnce):
 
     def update(self, values: Values, times: Times, numbers: Numbers) -> Iterator[Offence]:
         """See `SignalRule`."""
+        if np.minimum.reduce(values) == np.maximum.reduce(values) and values[0] in self._allowed:
+            return
         unknown = np.flatnonzero(~np.isin(values, self._allowed))
         if unknown.size:
             text = f"{values[unknown[0]]:g} has no name; named are {', '.join(f'{value:g}' for value in self._allowed)}"
@@ -119,11 +112,16 @@ class Slew(_AtOnce):
         """See `SignalRule`."""
         if self.last is None:
             self.last, self.last_us = float(values[0]), int(times[0])
-        changes = steps(values, self.last)
-        elapsed = np.maximum(steps(times, self.last_us), self.cycle_us)
+        last, last_us = self.last, self.last_us
         self.last, self.last_us = float(values[-1]), int(times[-1])
-        fast = np.flatnonzero(np.abs(changes) > self.limit * 1e-6 * elapsed + self.slack)
-        if fast.size:
+        low, high = min(last, np.minimum.reduce(values)), max(last, np.maximum.reduce(values))
+        if high - low <= self.limit * 1e-6 * self.cycle_us + self.slack:
+            return
+        changes = steps(values, last)
+        elapsed = np.maximum(steps(times, last_us), self.cycle_us)
+        too_fast = np.abs(changes) > self.limit * 1e-6 * elapsed + self.slack
+        if np.count_nonzero(too_fast):
+            fast = np.flatnonzero(too_fast)
             row = fast[0]
             text = (
                 f"from {values[row] - changes[row]:g} to {values[row]:g} {self.unit}".rstrip()
@@ -174,6 +172,7 @@ class Setting:
 
     rule: Rule = Rule.NEVER_SET
     first: Offence | None = None
+    count: int = 0
     set: bool = False
 
     def update(self, values: Values, times: Times, numbers: Numbers) -> Iterator[Offence]:
@@ -181,13 +180,13 @@ class Setting:
         if self.first is None:
             self.first = Offence(0, int(numbers[0]), int(times[0]), "always 0, which is no value")
         self.set = self.set or bool(values.any())
-        self.first = replace(self.first, count=self.first.count + len(values))
+        self.count += len(values)
         return iter(())
 
     def finish(self) -> Iterator[Offence]:
         """See `SignalRule`."""
-        if self.first is not None and not self.set and self.first.count >= _NEVER_SET_FRAMES:
-            yield self.first
+        if self.first is not None and not self.set and self.count >= _NEVER_SET_FRAMES:
+            yield replace(self.first, count=self.count)
 
 
 #: Changes of a signal by another step than the one before, and distance that it has to have gone in the steps that it
@@ -214,6 +213,8 @@ class Resolution:
     rule: Rule = Rule.RESOLUTION
     step: int = 0
     changes: int = 0
+    count: int = 0
+    value: float = np.nan
     last: int | None = None
     last_change: int = 0
     low: int = 0
@@ -224,6 +225,10 @@ class Resolution:
         """See `SignalRule`."""
         if self.step == 1:
             return iter(())
+        self.count += len(values)
+        if np.minimum.reduce(values) == np.maximum.reduce(values) == self.value:
+            return iter(())
+        self.value = float(values[-1])
         raw = np.rint((values - self.offset) / self.scale).astype(np.int64)
         if self.first is None or self.last is None:
             self.first = Offence(0, int(numbers[0]), int(times[0]), "")
@@ -236,7 +241,6 @@ class Resolution:
         self.last = int(raw[-1])
         self.low, self.high = min(self.low, int(raw.min())), max(self.high, int(raw.max()))
         self.step = int(np.gcd.reduce(raw, initial=self.step))
-        self.first = replace(self.first, count=self.first.count + len(raw))
         return iter(())
 
     def finish(self) -> Iterator[Offence]:
@@ -245,7 +249,7 @@ class Resolution:
         if self.first is not None and self.step > 1 and judged:
             used = f"{self.step * self.scale:g} {self.unit}".rstrip()
             text = f"only multiples of {used} in {self.changes} changes; the signal has steps of {self.scale:g}"
-            yield replace(self.first, text=text)
+            yield replace(self.first, count=self.count, text=text)
 
 
 @dataclass
@@ -269,7 +273,7 @@ class Runs:
             return
         if not wrong[0]:
             self._open = None
-        if not wrong.any():
+        if not np.count_nonzero(wrong):
             return
         edges = np.flatnonzero(np.diff(wrong.astype(np.int8), prepend=0, append=0)).reshape(-1, 2)
         for start, stop in edges.tolist():

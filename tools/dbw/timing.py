@@ -14,6 +14,7 @@ _BIN_BITS = 6
 _BINS_PER_OCTAVE = 1 << _BIN_BITS
 _OCTAVES = 27
 _FIRST_BIN = 1023 << _BIN_BITS
+_END_US = 1 << _OCTAVES
 
 #: Part by which a percentile may be off: half a bin where it is widest.
 RESOLUTION = 0.5 / _BINS_PER_OCTAVE
@@ -72,12 +73,15 @@ class Timing:
 
     def add(self, intervals: NDArray[np.int64]) -> None:
         """Take in intervals; at least one."""
-        self.shortest = min(self.shortest, int(intervals.min())) if self.count else int(intervals.min())
-        self.longest = max(self.longest, int(intervals.max())) if self.count else int(intervals.max())
+        shortest, longest = int(np.minimum.reduce(intervals)), int(np.maximum.reduce(intervals))
+        self.shortest = min(self.shortest, shortest) if self.count else shortest
+        self.longest = max(self.longest, longest) if self.count else longest
         self.count += len(intervals)
         exact = intervals.astype(np.float64)
-        self.total += float(exact.sum())
+        self.total += float(np.add.reduce(exact))
         self.squares += float(exact @ exact)
         places = (np.maximum(exact, 1.0).view(np.int64) >> (_MANTISSA_BITS - _BIN_BITS)) - _FIRST_BIN
-        np.minimum(places, len(self._counts) - 1, out=places)
-        self._counts += np.bincount(places, minlength=len(self._counts))
+        if longest >= _END_US:
+            np.minimum(places, len(self._counts) - 1, out=places)
+        counts = np.bincount(places)
+        self._counts[: len(counts)] += counts
