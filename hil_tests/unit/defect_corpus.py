@@ -209,7 +209,7 @@ def _(traffic: Traffic) -> Expected:
 def _(traffic: Traffic) -> Expected:
     rows = traffic.rows("pt_report_1", DRIVING_S)[:1]
     traffic.frames["flags"][rows] = Flag.EXTENDED
-    return Expected(Place(Rule.UNKNOWN, Bus.CAN1, "53C"), int(rows[0]))
+    return Expected(Place(Rule.UNKNOWN, Bus.CAN1, "0000053C"), int(rows[0]))
 
 
 @defect("identity", "steering command on CAN3")

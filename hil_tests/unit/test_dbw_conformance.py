@@ -136,7 +136,7 @@ def error(frames: Frames) -> tuple[Frames, Place, int]:
 def extended(frames: Frames) -> tuple[Frames, Place, int]:
     row = rows_of(frames, POWERTRAIN)[9]
     frames["flags"][row] = Flag.EXTENDED
-    return frames, Place(Rule.UNKNOWN, Bus.CAN1, f"{POWERTRAIN.frame_id:X}"), row
+    return frames, Place(Rule.UNKNOWN, Bus.CAN1, f"{POWERTRAIN.frame_id:08X}"), row
 
 
 def out_of_range(frames: Frames) -> tuple[Frames, Place, int]:
@@ -251,3 +251,31 @@ def test_random_frames_are_all_accounted_for():
 
 def test_no_frames_are_no_findings():
     assert found(np.zeros(0, FRAME_DTYPE)) == {}
+
+
+def test_noise_is_told_up_to_a_thousand_identifiers():
+    """Memory and time must not grow with the number of identifiers that exist."""
+    count = 20_000
+    frames = np.zeros(count, dtype=FRAME_DTYPE)
+    frames["id"] = np.random.default_rng(1).choice(1 << 29, count, replace=False)
+    frames["flags"] = Flag.EXTENDED
+    frames["time_us"] = np.arange(count)
+    conformance = Conformance()
+    for piece in np.array_split(frames, 3):
+        conformance.update(piece)
+    conformance.finish()
+    assert len(conformance.findings) == 1001
+    others = conformance.findings[Place(Rule.UNKNOWN, Bus.CAN1)]
+    assert others.count == count - 1000
+    assert sum(finding.count for finding in conformance.findings.values()) == count
+
+
+def test_identifiers_of_11_and_29_bits_are_told_apart():
+    frames = np.zeros(4, dtype=FRAME_DTYPE)
+    frames["id"] = 0x123
+    frames["flags"] = [0, Flag.EXTENDED, Flag.EXTENDED, 0]
+    frames["time_us"] = np.arange(4)
+    conformance = Conformance()
+    conformance.update(frames)
+    found = {place.message: finding.first_frame for place, finding in conformance.findings.items()}
+    assert found == {"123": 0, "00000123": 1}

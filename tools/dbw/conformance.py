@@ -33,6 +33,9 @@ __all__ = ["Conformance", "CounterMode", "Finding", "Offence", "Place", "Rule", 
 #: Part by which the mean of the times between frames may differ from the cycle time.
 _CYCLE_TOLERANCE = 0.1
 
+#: Identifiers that no message has, and that are told one by one.
+_STRANGERS_MAX = 1000
+
 #: Intervals that make a mean.
 _CYCLE_SAMPLES = 10
 
@@ -187,6 +190,7 @@ class Conformance:
         self.findings = Findings()
         self._newest_us: dict[Bus, int] = {}
         self._disordered: set[Bus] = set()
+        self._strangers = 0
         codecs = {codec.name: codec for codec in database}
         known = {(codec.name, signal) for codec in database for signal in codec.signals}
         relations = [relation for relation in RELATIONS if relation.needs <= known]
@@ -289,19 +293,32 @@ class Conformance:
 
     def _check_acceptance(self, frames: NDArray[np.void], numbers: NDArray[np.int64], index: NDArray[np.int32]) -> None:
         refused = np.flatnonzero(index < 0)
-        keys = np.stack([index[refused], frames["bus"][refused], frames["id"][refused]], axis=1).astype(np.int64)
-        for key in np.unique(keys, axis=0):
-            rows = refused[(keys == key).all(axis=1)]
-            status, bus, frame_id = (int(part) for part in key)
-            extended = bool(frames["flags"][rows[0]] & Flag.EXTENDED)
-            codec = self.database.find(bus, frame_id, extended)
-            rule = _STATUS_RULES[status]
-            name = codec.name if codec is not None and rule is not Rule.ERROR else f"{frame_id:X}"
-            text = {
-                Rule.SHORT: f"{frames['dlc'][rows[0]]} data bytes; {0 if codec is None else codec.length} are needed",
-                Rule.UNKNOWN: "no message of this bus has it",
-            }.get(rule, "not sent by any station of the car")
-            self.findings.note(Place(rule, Bus(bus), name), Offence.of(rows, numbers, frames["time_us"], text))
+        if not refused.size:
+            return
+        some = frames[refused]
+        extended = (some["flags"] & Flag.EXTENDED).astype(np.int64)
+        keys = (-index[refused].astype(np.int64) << 40) | (some["bus"].astype(np.int64) << 32) | some["id"]
+        keys |= extended << 31
+        for key, first, count in zip(*np.unique(keys, return_index=True, return_counts=True), strict=True):
+            self._note_refused(-(int(key) >> 40), some[first], int(numbers[refused[first]]), int(count))
+
+    def _note_refused(self, status: int, frame: np.void, number: int, count: int) -> None:
+        bus, frame_id, extended = Bus(int(frame["bus"])), int(frame["id"]), bool(frame["flags"] & Flag.EXTENDED)
+        codec = self.database.find(bus, frame_id, extended)
+        rule = _STATUS_RULES[status]
+        name = codec.name if codec is not None and rule is not Rule.ERROR else f"{frame_id:0{8 if extended else 1}X}"
+        text = {
+            Rule.SHORT: f"{frame['dlc']} data bytes; {0 if codec is None else codec.length} are needed",
+            Rule.UNKNOWN: "no message of this bus has it",
+        }.get(rule, "not sent by any station of the car")
+        place = Place(rule, bus, name)
+        # Noise on a bus may have any of half a billion identifiers.
+        if codec is None and place not in self.findings:
+            if self._strangers >= _STRANGERS_MAX:
+                place, text = Place(rule, bus), f"more than {_STRANGERS_MAX} others are known already"
+            else:
+                self._strangers += 1
+        self.findings.note(place, Offence(count, number, int(frame["time_us"]), text))
 
     def _check_message(self, codec: MessageCodec, frames: NDArray[np.void], numbers: NDArray[np.int64]) -> Piece | None:
         """Check frames of a message; gives those that a receiver takes, decoded, if their values are of interest."""

@@ -160,7 +160,7 @@ _INDENT = 11
 
 def _name(address: Address, row: Row) -> str:
     """As `Conformance` calls it."""
-    return f"{address.frame_id:X}" if row.codec is None else row.codec.name
+    return f"{address.frame_id:0{8 if address.extended else 1}X}" if row.codec is None else row.codec.name
 
 
 def _digits(address: Address) -> str:
