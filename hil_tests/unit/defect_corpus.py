@@ -941,7 +941,7 @@ def _(traffic: Traffic) -> Expected:
     return expect(Rule.AGREEMENT, "steering_report", "steering_motor_ang_avg_fdbk", rows[np.argmax(angles != 0.0)])
 
 
-@defect("stuck", "awsim: the last brake pressure stays in the report")
+@defect("stuck", "the last brake pressure stays in the report")
 def _(traffic: Traffic) -> Expected:
     rows = traffic.rows("brake_pressure_report", 5.0)
     pressure = traffic.get("brake_pressure_report", "brake_pressure_fdbk_front", rows)
@@ -1006,7 +1006,7 @@ defect("copy", "awsim: the front left load is the front right one")(
 defect("copy", "suspension travel of the rear right wheel is that of the left one")(
     copied("wheel_potentiometer_data", "wheel_potentiometer_RR", "wheel_potentiometer_RL", "wheel_potentiometer_RR")
 )
-defect("copy", "awsim: rear brake pressure is the front one")(
+defect("copy", "the rear brake pressure is the front one")(
     copied(
         "brake_pressure_report",
         "brake_pressure_fdbk_rear",
@@ -1036,6 +1036,14 @@ def _(traffic: Traffic) -> Expected:
     ]
     rows = traffic.rows("Tire_Temp_RL_1")
     return Expected(places[0], int(rows[0]), frozenset(places[1:]))
+
+
+@defect("copy", "pitt: the means of the rear left tyre are those of the front left one")
+def _(traffic: Traffic) -> Expected:
+    for tyre, degrees in (("FL", 12.0), ("FR", 9.0), ("RL", 12.0), ("RR", 6.0)):
+        warm_up(traffic, tyre, degrees)
+    places = [place(Rule.COPY, f"Tire_Temp_RL_{part}", f"RL_Tire_Temp_{4 * part - 3:02d}") for part in range(1, 5)]
+    return Expected(places[0], int(traffic.rows("Tire_Temp_RL_1")[0]), frozenset(places[1:]))
 
 
 @defect("copy", "tyre pressure of one wheel under the identifier of another one, too")
