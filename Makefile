@@ -104,6 +104,10 @@ coverage: .venv-coverage/.built ## Run the unit tests on instrumented firmware; 
 	  --filter 'firmware/obc/ssm\.c' --filter 'firmware/obc/parameters\.c' --filter 'firmware/common/codec\.c' --filter 'firmware/common/dbw_profile\.c' \
 	  --txt-metric branch --print-summary --fail-under-line 100 --fail-under-branch 100 build/coverage
 
+.PHONY: mutate
+mutate: build ## Plant small faults in the safety-relevant C, one at a time, and count how many the unit tests notice
+	$(BIN)/python -m tools.mutation
+
 .PHONY: clean
 clean: ## Remove everything that was built
 	rm -rf build .venv .venv-coverage .mypy_cache .ruff_cache out
