@@ -10,7 +10,6 @@ import importlib
 import json
 import os
 import signal
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -159,6 +158,3 @@ def _alarm(child: int, seconds: float) -> Iterator[None]:
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0)
         signal.signal(signal.SIGALRM, before)
-
-
-sys.setrecursionlimit(10_000)
