@@ -17,6 +17,8 @@ from bridge.interfaces import Autonomy, Road
 from bridge.monitor import RunMonitor
 from bridge.pace import WallClockPace
 from bridge.recorder import Recorder, Recording
+from bridge.safety.limits import SafetyLimits
+from bridge.safety.monitor import SafetyMonitor
 from bridge.scenario import Condition, Scenario, Situation, load_scenario
 from bridge.sensors.truth import Truth
 from bridge.surroundings import TICK_US, Ending, EndWatch, ReportedStates, Surroundings
@@ -56,7 +58,7 @@ class Bench:
 
     Attributes
     ----------
-    network, monitor, plant, wiring, operator, race_control, laps : the parts, for inspection.
+    network, monitor, safety, plant, wiring, operator, race_control, laps : the parts, for inspection.
     obc, raptor, space_drive : the ECUs' C structs.
     silent : stations without power: they neither hear nor send, an ECU does not tick. A silent Raptor's outputs fall
         off; a silent Space Drive's motors stay where they are.
@@ -80,6 +82,13 @@ class Bench:
         self.network = Network()
         database = profile(scenario.profile)
         self.monitor = RunMonitor(database)
+        self.safety = SafetyMonitor(
+            SafetyLimits.of_scenario(scenario),
+            database,
+            self.plant.output_names,
+            surroundings.road.boundaries(),
+            senders_known=True,
+        )
         self.obc: Any = ffi.new("obc *")
         self.raptor: Any = ffi.new("raptor *")
         self.space_drive: Any = ffi.new("space_drive *")
@@ -196,6 +205,7 @@ class Bench:
             self._taps.mirror(network.log_view(logged))
 
         # The plant moves on.
+        self.safety.add_truth(now_us, self.plant.outputs)
         if self._recorder is not None:
             self._recorder.add_truth(now_us, self.plant.outputs)
         surroundings.advance(now_us * 1e-6)
@@ -237,8 +247,9 @@ class Bench:
         return ending is Ending.FINISHED
 
     def finish(self) -> Recording | None:
-        """Complete the run: the monitor knows the last frame, the recording is in place."""
+        """Complete the run: the monitors know the last frame, the recording is in place."""
         self._drain()
+        self.safety.finish()
         if self._recorder is None:
             return None
         recorder, self._recorder = self._recorder, None
@@ -279,10 +290,8 @@ class Bench:
         return False
 
     def _drain(self) -> None:
-        if self._recorder is None:
-            self.monitor.update(self.network.log_view())  # each message in order of time, which is all it needs
-            self.network.clear_log()
-        else:
-            frames = self.network.drain_log()
-            self.monitor.update(frames)
+        frames = self.network.drain_log()
+        self.monitor.update(frames)
+        self.safety.update(frames)
+        if self._recorder is not None:
             self._recorder.add_frames(frames)

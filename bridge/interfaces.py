@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from typing import Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
 
 class Origin(Protocol):
     """Where the track frame lies on the Earth: WGS 84, degrees and m above the ellipsoid."""
@@ -47,6 +50,10 @@ class Road(Protocol):
 
     def pose_at(self, station: float, lateral: float) -> tuple[float, float, float]:
         """x, y and heading of a car that stands parallel to the centre line at (s, d)."""
+        ...
+
+    def boundaries(self) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+        """Left and right edge, points across from each other, each of shape (n, 2), m."""
         ...
 
 

@@ -29,6 +29,7 @@ from tools.realtime_run import RealTimeOptions, RealTimeRun
 from tools.realtime_summary import stations_summary
 from tools.recorded import Recorded
 from tools.run import SUMMARY, conclude, load_road
+from tools.safety_summary import safety_summary
 from tools.stop_signal import asked_to_stop_is_ctrl_c, not_to_be_stopped
 from tools.summary import driving_summary, event_summary, show_summary, write_summary
 
@@ -45,7 +46,8 @@ def run_realtime(scenario: Scenario, folder: Path, console: Console, options: Re
     Returns
     -------
     int
-        Exit status: a part that failed counts as a missed finish. An interrupted run is recorded as far as it came.
+        Exit status: a part that failed or a broken safety property counts as a missed finish. An interrupted run is
+        recorded as far as it came.
 
     Raises
     ------
@@ -77,7 +79,8 @@ def run_realtime(scenario: Scenario, folder: Path, console: Console, options: Re
     if course.failures:
         console.print(f"[red]Failed[/red]: {'; '.join(course.failures)}")
         return ExitStatus.MISSED
-    return conclude(scenario, course.finished, course.offences, console)
+    status = conclude(scenario, course.finished, course.offences, console)
+    return ExitStatus.MISSED if summary["safety"]["violations"] else status
 
 
 class _Course:
@@ -198,6 +201,7 @@ def _summary(run: RealTimeRun, course: _Course, recording: Recording, folder: Pa
         "laps_s": _laps(recorded, scenario),
         **driving_summary(recorded),
         **event_summary(run.observer.monitor, ended_us),
+        "safety": safety_summary(run.safety, ended_us),
         "buses": {
             CHANNELS[bus]: statistics | {"lost": overflows[bus]}
             for bus, statistics in run.observer.load.statistics(course.ended_us * 1e-6).items()

@@ -18,6 +18,9 @@ from pathlib import Path
 from types import MappingProxyType, TracebackType
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from bridge.bus import CHANNELS
 from bridge.realtime.cycle_log import cycles_written
 from bridge.realtime.link import CanLink
@@ -29,13 +32,15 @@ from bridge.realtime.truth_file import TruthFile
 from bridge.realtime.vcan import ensure_interfaces
 from bridge.realtime.wired import WiredIo
 from bridge.recorder import Recorder, Recording
+from bridge.safety.limits import SafetyLimits
+from bridge.safety.monitor import SafetyMonitor
 from bridge.scenario import Scenario
 from bridge.surroundings import TICK_US, Ending
 from dbc import codec
 from dbc.buses import DEFAULT_PROFILE
 from dbc.errors import RaceloopError
 from dbc.frames import Bus
-from tools.run import make_folder
+from tools.run import load_road, make_folder
 
 #: When each station's cycle begins within the period, us: the order of lock step.
 PHASES_US: Mapping[str, int] = MappingProxyType(
@@ -301,7 +306,7 @@ class RealTimeRun:
     scenario, options : as given.
     parts : all parts by name, those left out too.
     links : of the observer, one per bus, once the run has started.
-    supervisor, observer : of the run; the observer is there once the run has started.
+    supervisor, observer, safety : of the run; observer and safety monitor are there once the run has started.
     shared : the processes' files; gone when the run is left.
     speed_mps : newest true speed; None without a plant.
     plant_report : what the plant says about the run when it ends; empty before, or when it did not come to that.
@@ -313,6 +318,7 @@ class RealTimeRun:
     """
 
     observer: Observer
+    safety: SafetyMonitor
 
     def __init__(
         self,
@@ -428,6 +434,7 @@ class RealTimeRun:
         self.supervisor.poll(_LAST_FRAMES_S)
         self._take_truth()
         self.observer.finish()
+        self.safety.finish()
         for link in self.links:
             link.close()
         self.supervisor.stop()
@@ -462,8 +469,19 @@ class RealTimeRun:
             make_folder(folder)
             names, units = ((), ()) if self._truth is None else (self._truth.names, self._truth.units)
             self._recorder = Recorder(folder, names, units, self.scenario.profile, keep=True)
-        sink = self._recorder.add_frames if self._recorder else None
-        self.observer = Observer(self.links, sink, self.options.slower, codec.profile(self.scenario.profile))
+        database = codec.profile(self.scenario.profile)
+        self.safety = SafetyMonitor(
+            SafetyLimits.of_scenario(self.scenario),
+            database,
+            () if self._truth is None else self._truth.names,
+            load_road(self.scenario, self.scenario.track).boundaries(),
+        )
+        self.observer = Observer(self.links, self._take_frames, self.options.slower, database)
+
+    def _take_frames(self, frames: NDArray[np.void]) -> None:
+        self.safety.update(frames)
+        if self._recorder is not None:
+            self._recorder.add_frames(frames)
 
     def _take_truth(self) -> None:
         if self._truth is None:
@@ -472,7 +490,9 @@ class RealTimeRun:
         if not len(rows):
             return
         self.speed_mps = float(rows[-1, 1 + self._truth.names.index("vx")])
-        if self._recorder is not None:
-            for row in rows:
+        for row in rows:
+            self.safety.add_truth(int(row[0]), row[1:])
+            if self._recorder is not None:
                 self._recorder.add_truth(int(row[0]), row[1:])
+        if self._recorder is not None:
             self._recorder.flush()

@@ -34,6 +34,7 @@ from tools.check_params import show_rejected
 from tools.exit_status import ExitStatus
 from tools.progress import ProgressBar
 from tools.recorded import Recorded
+from tools.safety_summary import safety_summary
 from tools.summary import driving_summary, event_summary, show_summary, write_summary
 
 DEFAULT_SCENARIO = scenarios.DIRECTORY / "solo_lap.yaml"
@@ -123,7 +124,8 @@ def run(scenario: Scenario, folder: Path, console: Console, rt_ratio: float | No
     Returns
     -------
     int
-        Exit status: a run that the firmware's verdict on the operation file held at full brake is the user's mistake.
+        Exit status: a broken safety property counts as a missed finish; a run that the firmware's verdict on the
+        operation file held at full brake is the user's mistake.
 
     Raises
     ------
@@ -147,7 +149,8 @@ def run(scenario: Scenario, folder: Path, console: Console, rt_ratio: float | No
         summary = _summary(bench, recording, finished, offences, loop_s, whole_s, folder)
     write_summary(summary, folder / SUMMARY)
     show_summary(summary, console)
-    return conclude(scenario, finished, offences, console)
+    status = conclude(scenario, finished, offences, console)
+    return ExitStatus.MISSED if summary["safety"]["violations"] else status
 
 
 def conclude(scenario: Scenario, finished: bool, offences: Sequence[Offence], console: Console) -> int:
@@ -194,6 +197,7 @@ def _summary(
         "laps_s": list(bench.laps.laps_s),
         **driving_summary(Recorded(recording.signals, recording.truth)),
         **event_summary(bench.monitor),
+        "safety": safety_summary(bench.safety),
         "buses": {
             CHANNELS[bus]: {
                 "bit_rate": BIT_RATES[bus],

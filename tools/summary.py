@@ -21,6 +21,7 @@ from dbc.errors import RaceloopError
 from firmware.tables import load_faults
 from tools.realtime_summary import show_real_time
 from tools.recorded import Recorded
+from tools.safety_summary import show_safety
 from tools.tracking import PAPER, PAPER_TOP_SPEED_KMH, TrackingErrors, tracking_errors, tracking_table
 
 YAW_BAND_RAD = 0.02
@@ -163,6 +164,7 @@ def show_summary(summary: Mapping[str, Any], console: Console) -> None:
         f"Faults: {len(summary['faults'])}; OBC executive: {executive['frames']} frames,"
         f" {executive['overruns']} overruns, {executive['late_frames']} late"
     )
+    show_safety(summary["safety"], console)
     if real_time is not None:
         console.print()
         show_real_time(real_time, console)

@@ -10,6 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from bridge._native import lib
+from bridge.safety import limits
 from dbc.codec import database
 from firmware.tables import load_parameters
 from tools.dbw import car_rules
@@ -171,9 +172,9 @@ def test_a_history_keeps_what_was_in_force_and_not_more():
 
 def test_the_limits_are_those_of_the_firmware():
     config = lib.raptor_config_default
-    assert pytest.approx(config.pedal_conflict_throttle * 100) == car_rules.PEDAL_THROTTLE_PERCENT
-    assert pytest.approx(config.pedal_conflict_brake / 1000) == car_rules.PEDAL_BRAKE_KPA
-    assert config.pedal_conflict_us == car_rules.PEDAL_US
+    assert pytest.approx(config.pedal_conflict_throttle * 100) == limits.PEDAL_THROTTLE_PERCENT
+    assert pytest.approx(config.pedal_conflict_brake / 1000) == limits.PEDAL_BRAKE_KPA
+    assert config.pedal_conflict_us == limits.PEDAL_US
     assert pytest.approx(config.brake_out_of_spec / 1000) == car_rules.BRAKE_ERROR_KPA
     assert pytest.approx(config.brake_out_of_spec_share) == car_rules.BRAKE_ERROR_SHARE
     assert pytest.approx(config.brake_axle_share[1]) == car_rules.REAR_SHARE
@@ -181,7 +182,7 @@ def test_the_limits_are_those_of_the_firmware():
     stop = {name: float(value) for name, value in re.findall(r"#define SPACE_DRIVE_(\w+_STOP_\w+) +([\d.e]+)f", header)}
     assert pytest.approx(np.degrees(stop["STEER_STOP_RAD"])) == car_rules.STEER_STOP_DEG
     assert pytest.approx(stop["BRAKE_STOP_PA"] / 1000) == car_rules.BRAKE_STOP_KPA
-    assert f"SPACE_DRIVE_NEUTRAL = 0x{car_rules.NEUTRAL_COUNTS:04X}" in header
+    assert f"SPACE_DRIVE_NEUTRAL = 0x{limits.NEUTRAL_COUNTS:04X}" in header
     axes = (ROOT / "firmware/space_drive/space_drive.c").read_text()
     steer, brake = (float(value) for value in re.findall(r"\.deviation = ([\d.e]+)f", axes))
     assert pytest.approx(np.degrees(steer), rel=1e-4) == car_rules.STEER_DEVIATION_DEG

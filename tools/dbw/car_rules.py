@@ -11,22 +11,17 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from bridge.safety.limits import NEUTRAL_COUNTS, PEDAL_BRAKE_KPA, PEDAL_THROTTLE_PERCENT, PEDAL_US
 from dbc.states import SysState
 from tools.dbw.findings import Rule
 from tools.dbw.relations import Condition, Pair, Relation, Source
 
-#: The Space Drive's counts: neutral is straight ahead or no brake; a neutral's worth of counts is one way to the stop.
-NEUTRAL_COUNTS = 0x4000
+#: Ends of the Space Drive's counts; a neutral's worth of counts is one way to the stop.
 STEER_STOP_DEG = 240.0
 BRAKE_STOP_KPA = 6000.0
 
 #: Of the pressure in the front line, what the rear line gets.
 REAR_SHARE = 0.46 / 0.54
-
-#: Accelerator and brake together, as the Raptor allows it.
-PEDAL_THROTTLE_PERCENT = 10.0
-PEDAL_BRAKE_KPA = 500.0
-PEDAL_US = 500_000
 
 #: Error of a brake line that the Raptor allows: so much, and such a part of the pressure asked for.
 BRAKE_ERROR_KPA = 400.0
