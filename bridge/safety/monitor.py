@@ -99,7 +99,7 @@ class SafetyMonitor:
             limits,
             messages,
             {name: Series(messages[name].signals) for name in names},
-            Series(TRUTH),
+            Series(TRUTH if has_truth else ()),
             None if edges is None else TrackEdges(*edges),
         )
         self._pending: list[NDArray[np.uint64]] = []

@@ -5,6 +5,8 @@ The plant, all ECUs and autonomy are the real ones; what is taken away is taken 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -28,6 +30,16 @@ TICK_S = TICK_US * 1e-6
 @pytest.fixture
 def scenario() -> Scenario:
     return load_scenario(DEFAULT_SCENARIO)
+
+
+@contextmanager
+def safe_bench(scenario: Scenario) -> Iterator[Bench]:
+    """A bench on which, when the test is over, every safety property has held."""
+    with build_bench(scenario) as bench:
+        yield bench
+        bench.finish()
+        assert bench.safety.violations == []
+        assert bench.safety.frames > 0
 
 
 def drive_to(bench: Bench, speed: float) -> None:
@@ -84,7 +96,7 @@ def test_rejected_configuration_never_moves(scenario: Scenario, tmp_path: Path, 
     bad = tmp_path / "bad.yaml"
     bad.write_text("\n".join(kept + ([f"{key}: {value}"] if value is not None else [])) + "\n")
     command, ssm = database.message("brake_pressure_cmd"), database.message("ssm_status")
-    with build_bench(replace(scenario, operation=bad)) as bench:
+    with safe_bench(replace(scenario, operation=bad)) as bench:
         pressures, states = [], []
         demand = []
         settled = 0.0
@@ -109,7 +121,7 @@ def test_rejected_configuration_never_moves(scenario: Scenario, tmp_path: Path, 
 
 def test_raptor_brakes_when_the_obc_dies(scenario: Scenario) -> None:
     """Layer two: 100 ms without commands, then full brake, throttle closed, engine off, latched."""
-    with build_bench(scenario) as bench:
+    with safe_bench(scenario) as bench:
         drive_to(bench, 40.0)
         assert bench.situation.sys_state == SysState.DRIVING
         bench.silent.add(Station.OBC)
@@ -132,7 +144,7 @@ def test_raptor_brakes_when_the_obc_dies(scenario: Scenario) -> None:
 @pytest.mark.parametrize("dead", [{Station.RAPTOR}, {Station.RAPTOR, Station.OBC}], ids=["raptor", "raptor and obc"])
 def test_space_drive_brakes_when_the_raptor_dies(scenario: Scenario, dead: set[Station]) -> None:
     """Layer three: requests stop, and the Space Drive brakes by itself."""
-    with build_bench(scenario) as bench:
+    with safe_bench(scenario) as bench:
         drive_to(bench, 40.0)
         bench.silent.update(dead)
         braking = lambda: bench.wiring.space_drive_out.brake_pressure_demand > 0.999 * FULL_BRAKE_PA  # noqa: E731
@@ -148,7 +160,7 @@ def test_space_drive_brakes_when_the_raptor_dies(scenario: Scenario, dead: set[S
 
 def test_ssm_stops_the_car_when_autonomy_dies(scenario: Scenario) -> None:
     """Layer one: no estimate and no plan; the SSM brings the car to a stop by itself."""
-    with build_bench(scenario) as bench:
+    with safe_bench(scenario) as bench:
         drive_to(bench, 40.0)
         bench.silent.add(Station.AUTONOMY)
         ticks = ticks_until(bench, lambda: newest(bench, "ssm_status")["ssm_state"] > lib.SSM_DEGRADED, 60)
@@ -159,7 +171,7 @@ def test_ssm_stops_the_car_when_autonomy_dies(scenario: Scenario) -> None:
 
 def test_launch_moves_only_after_every_state_allowed_it(scenario: Scenario) -> None:
     """Up to DRIVING the throttle is closed and the car stands; then it launches without stalling."""
-    with build_bench(scenario) as bench:
+    with safe_bench(scenario) as bench:
         while bench.situation.sys_state != SysState.DRIVING:
             assert bench.now_us < 30_000_000
             assert bench.wiring.raptor_out.throttle_demand == 0.0
