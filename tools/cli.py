@@ -46,6 +46,10 @@ def _dispatch(options: argparse.Namespace, console: Console) -> int:
         from tools.replay import replay  # noqa: PLC0415
 
         return replay(options.log, profile(options.profile), console)
+    if options.command == "safety":
+        from tools.safety import safety  # noqa: PLC0415
+
+        return safety(options.folder, options.scenario, console)
     if options.command == "hub":
         from tools.hub import hub  # noqa: PLC0415
 
@@ -203,6 +207,12 @@ def make_parser() -> argparse.ArgumentParser:
     replay.add_argument("log", type=Path, help="frames.log (candump) or frames.blf of a run, from power-on")
 
     replay.add_argument("--profile", default=DEFAULT_PROFILE, help=f"layout of CAN1 (default: {DEFAULT_PROFILE})")
+
+    safety = commands.add_parser("safety", help="hold a recorded run to the safety properties")
+    safety.add_argument(
+        "folder", nargs="?", type=Path, default=Path("out"), metavar="DIR", help="of the recording (default: out)"
+    )
+    safety.add_argument("--scenario", metavar="NAME", help="that was driven (default: what summary.json says)")
 
     hub = commands.add_parser("hub", help="carry the four buses where the kernel has no CAN")
     hub.add_argument(

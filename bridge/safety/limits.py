@@ -61,17 +61,22 @@ class BrakeLines:
             When it lacks one of the plant's parameters of the brakes, or that is out of range.
         """
 
-        def positive(key: str) -> float:
-            if not vehicle.get(key, 0.0) > 0.0:
-                raise ConfigurationError(path, key, "is missing or not above 0; the safety properties need it")
+        def value(key: str) -> float:
+            if key not in vehicle:
+                raise ConfigurationError(path, key, "is missing; the safety properties need it")
             return vehicle[key]
+
+        def positive(key: str) -> float:
+            if not value(key) > 0.0:
+                raise ConfigurationError(path, key, f"is {value(key):g}; must be above 0")
+            return value(key)
 
         full, front = positive("brake_pressure_max"), positive("brake_front_share")
         if not front < 1.0:
             raise ConfigurationError(path, "brake_front_share", f"is {front:g}; must be below 1")
         lag_s = 1.0 / (2.0 * math.pi * positive("brake_bandwidth"))
         rate_s = full / positive("brake_pressure_rate_limit")
-        rise_s = vehicle.get("brake_delay", 0.0) + _SETTLED_CONSTANTS * lag_s + rate_s
+        rise_s = value("brake_delay") + _SETTLED_CONSTANTS * lag_s + rate_s
         return cls(
             full_kpa=full / 1000.0,
             settled_us=PASSING_US + math.ceil(rise_s * 1e6),

@@ -229,8 +229,8 @@ class BrakesFollow(Property):
 
     id = "SAFE-3"
     text = (
-        "Both brake lines have what is asked for on CAN3 within the actuator's rise time; when requests are silent "
-        "for their time-out, a full brake until the Space Drive starts again."
+        "Both brake lines have what is asked for on CAN3 within the actuator's rise time; a full brake when requests "
+        "are silent for their time-out, and while the Space Drive reports its emergency brake."
     )
     source = "brake_delay, brake_bandwidth, brake_pressure_rate_limit of the vehicle file; GenMsgTimeout of CAN3"
     messages = (BRAKE_REQUEST, STEERING_REQUEST, BRAKE_STATUS)
@@ -244,9 +244,9 @@ class BrakesFollow(Property):
         silent = np.zeros(len(times), np.bool_)
         for name in (BRAKE_REQUEST, STEERING_REQUEST):
             silent |= scene.series[name].age(times) > scene.timeout_us(name)
-        asked[silent] = brakes.full_kpa
-        rows = brakes.settled_us // CYCLE_US + 1
         emergency = scene.series[BRAKE_STATUS].held("emr_brk", times) > 0
+        asked[silent | emergency] = brakes.full_kpa
+        rows = brakes.settled_us // CYCLE_US + 1
         unheard = scene.series[BRAKE_STATUS].age(times) > scene.timeout_us(BRAKE_STATUS)
         alone = (silent | emergency | unheard).astype(np.float64)
         low = _over_last(np.minimum, asked, rows)
@@ -383,10 +383,8 @@ class SsmLimits(Property):
             most = np.where(nominal, normal, np.where(degraded, lower, 0.0))
             if braking:
                 most[state == SsmState.EMERGENCY] = normal
-            most += slack + 1e-9
-            yield Breach(
-                ssm, ssm[signal] > most, _with_state(ssm, "ssm_state", SsmState, _value(ssm, signal)), _at_most(most)
-            )
+            seen = _with_state(ssm, "ssm_state", SsmState, _value(ssm, signal))
+            yield Breach(ssm, ssm[signal] > most + slack + 1e-9, seen, _at_most(most))
 
 
 class NoMotionBeforeLaunch(Property):

@@ -38,6 +38,8 @@ def drive(folder: Path) -> Run:
         finished = bench.run()
         recording = bench.finish()
         assert recording is not None
+        assert bench.safety.violations == []
+        assert len(bench.safety.checked) == 17
         return Run(
             finished=finished,
             recording=recording,

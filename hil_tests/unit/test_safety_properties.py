@@ -256,6 +256,17 @@ def test_silent_requests_must_brake(log: Recording, message: str) -> None:
     assert 60 * MS + 220 * MS <= time_us - DRIVES_US <= 80 * MS + 240 * MS
 
 
+def test_reported_emergency_brake_must_brake(log: Recording) -> None:
+    near = log.copy()
+    places = log.places("stat_brk_1", DRIVES_US)
+    cycle_us = int(np.diff(log.frames["time_us"][places[:2]].astype(np.int64))[0])
+    near.put("stat_brk_1", "emr_brk", 1.0, places[: 200 * MS // cycle_us])
+    assert found(near, "SAFE-3") is None
+    log.put("stat_brk_1", "emr_brk", 1.0, places[: 300 * MS // cycle_us])
+    time_us, _ = found(log, "SAFE-3") or (0, 0)
+    assert 220 * MS <= time_us - DRIVES_US <= 240 * MS + cycle_us
+
+
 # --- SAFE-4 to SAFE-6: accelerator and brake ------------------------------------------------------------------------
 
 
