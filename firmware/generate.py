@@ -23,6 +23,7 @@ from firmware.tables import (  # noqa: E402
     DIRECTORY,
     FAULTS_FILE,
     PARAMETERS_FILE,
+    SCOPES,
     SIGNS,
     Fault,
     Parameter,
@@ -221,10 +222,43 @@ operator withdraws the launch request and asks again; `until restart` never. A f
 SSM is `running` (NOMINAL, DEGRADED, EMERGENCY) or only while `driving`; one that blocks the launch keeps the SSM from
 NOMINAL. Times are milliseconds; the deadline is the longest time from the condition to the reaction.
 
+The states of the System Status Manager ([ssm.md](ssm.md)), and by their ids the faults that lead from one to another.
+With `degraded_driving_allowed: false` those that degrade or switch the controller stop the car like a safe stop.
+
+```mermaid
+{_fault_diagram(faults)}
+```
+
 | id | fault | condition | debounce | reaction | latch | clear | deadline | supervised | blocks launch | detail |
 | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |
 {rows}
 """
+
+
+def _fault_diagram(faults: tuple[Fault, ...]) -> str:
+    """Mermaid state diagram of the SSM, each transition with the faults behind it."""
+
+    def ids(reaction: str, scopes: tuple[str, ...] = SCOPES) -> str:
+        return " ".join(str(f.id) for f in faults if f.reaction == reaction and f.supervised in scopes)
+
+    blocking = " ".join(str(f.id) for f in faults if f.blocks_launch)
+    degrade = f"degrade {ids('degrade')}, switch controller {ids('switch_controller')}"
+    safe_stop = f"safe stop {ids('safe_stop')}"
+    edges = [
+        ("[*]", "BOOT", ""),
+        ("BOOT", "CONFIG_CHECK", ""),
+        ("CONFIG_CHECK", "LAUNCHING", "configuration accepted"),
+        ("LAUNCHING", "NOMINAL", f"operator wants it, none of {blocking}"),
+        ("NOMINAL", "DEGRADED", degrade),
+        ("DEGRADED", "NOMINAL", "all of them cleared"),
+        ("NOMINAL", "EMERGENCY", safe_stop),
+        ("DEGRADED", "EMERGENCY", safe_stop),
+        ("EMERGENCY", "LAUNCHING", "operator resets at standstill"),
+        *((state, "FULL_BRAKE", ids("full_brake", ("always",))) for state in ("BOOT", "CONFIG_CHECK", "LAUNCHING")),
+        *((state, "FULL_BRAKE", ids("full_brake")) for state in ("NOMINAL", "DEGRADED", "EMERGENCY")),
+    ]
+    lines = (f"    {origin} --> {to}{f': {label}' if label else ''}" for origin, to, label in edges)
+    return "\n".join(["stateDiagram-v2", *lines])
 
 
 def _fault_line(fault: Fault) -> str:

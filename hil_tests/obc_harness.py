@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
@@ -14,6 +15,24 @@ from firmware.tables import load_parameters
 TICK_US = 10_000
 OPERATION = Path(__file__).resolve().parents[1] / "scenarios" / "operations" / "solo.yaml"
 CAPACITY = 256
+
+#: Signals of each sensor in whose last bit its noise shows, and that bit's worth.
+NOISY = {
+    "gnss_a_position": ("gnss_a_latitude", 1e-7), "gnss_a_velocity": ("gnss_a_velocity_up", 0.005),
+    "gnss_a_attitude": ("gnss_a_yaw", 1e-4),
+    "gnss_b_position": ("gnss_b_latitude", 1e-7), "gnss_b_velocity": ("gnss_b_velocity_up", 0.005),
+    "gnss_b_attitude": ("gnss_b_yaw", 1e-4),
+    "imu_rates": ("imu_roll_rate", 2e-4), "imu_specific_force": ("imu_specific_force_x", 0.002),
+}  # fmt: skip
+
+#: What an obedient car reports: report, its signal, and the command that it follows.
+OBEDIENCE = {
+    "steering_report": ("steering_motor_ang_avg_fdbk", "steering_cmd", "steering_motor_ang_cmd"),
+    "brake_pressure_report": ("brake_pressure_fdbk_front", "brake_pressure_cmd", "brake_pressure_cmd"),
+    "accelerator_report": ("acc_pedal_fdbk", "accelerator_cmd", "acc_pedal_cmd"),
+    "pt_report_1": ("current_gear", "gear_shift_cmd", "desired_gear"),
+}
+EARTH_RADIUS = 6_378_137.0  # m, equatorial, WGS 84
 
 
 def cast_frames(frames: bytes) -> tuple[object, int]:
@@ -41,8 +60,9 @@ class Outbox:
 class ObcHarness:
     """An onboard computer and, message by message, what it hears.
 
-    `signals` holds the values of every message that is sent, by name (counters are filled in); a message that is not
-    in `periods` is silent. Both are the test's to change. `received` holds the newest frame by message name.
+    `signals` holds the values of every message that is sent, by name (counters are filled in, and so are, where they
+    say nothing, the noise of sensors and what an obedient car reports of its commands); a message that is not in
+    `periods` is silent. Both are the test's to change. `received` holds the newest frame by message name.
     """
 
     def __init__(self) -> None:
@@ -59,6 +79,8 @@ class ObcHarness:
         self.node_codes = {0: 0, 1: 0}
         self.node_reliability = {0: 100.0, 1: 100.0}
         self.frozen_nodes: set[int] = set()
+        self.frozen_sensors: set[str] = set()
+        self.travelled_m = 0.0
         self.silent_nodes: set[int] = set()
         self.plan_speed = 0.0
         self.plan_counter = 0
@@ -69,7 +91,7 @@ class ObcHarness:
             "gnss_b_position": {}, "gnss_b_velocity": {}, "gnss_b_attitude": {}, "gnss_b_quality": {},
             "imu_rates": {}, "imu_specific_force": {"imu_specific_force_z": 9.806},
             "estimate_position": {}, "estimate_motion": {}, "estimate_quality": {"estimate_quality_level": 3},
-            "wheel_speed_report": {}, "brake_pressure_report": {}, "steering_report": {},
+            "wheel_speed_report": {}, "brake_pressure_report": {}, "steering_report": {}, "accelerator_report": {},
             "misc_report": {"sys_state": 1, "battery_voltage": 13.2}, "pt_report_1": {"gear_shift_status": 1},
             "diagnostic_report": {}, "base_to_car_summary": {"track_flag": 1, "round_target_speed": 31},
             "marelli_report_1": {}, "launch_request": {"launch_wanted": 1},
@@ -106,11 +128,24 @@ class ObcHarness:
             frames.append(self.message("trajectory_motion", **motion))
         return frames
 
+    def world(self, name: str) -> dict[str, float]:
+        """What the sensors and the car say of themselves: noise in the last bit, the way travelled, obedience."""
+        values: dict[str, float] = {}
+        if name in NOISY and not name.startswith(tuple(self.frozen_sensors)):
+            noisy, last_bit = NOISY[name]
+            values[noisy] = last_bit * (self.now_us // self.periods[name] % 2)
+        if name in ("gnss_a_position", "gnss_b_position"):
+            values[name.replace("position", "longitude")] = math.degrees(self.travelled_m / EARTH_RADIUS)
+        if name in OBEDIENCE:
+            signal, command, commanded = OBEDIENCE[name]
+            values[signal] = self.value(command, commanded) if command in self.received else 0.0
+        return values
+
     def due(self) -> Iterable[bytes]:
         """Yield frames of this tick."""
         for name, period in self.periods.items():
             if self.now_us % period == 0:
-                yield self.message(name, **self.signals[name])
+                yield self.message(name, **self.world(name) | self.signals[name])
         for node, code in self.node_codes.items():
             if node in self.silent_nodes:
                 continue
@@ -144,6 +179,8 @@ class ObcHarness:
             self.received[codec.name] = codec.decode(frame.data)
             self.log.append(frame)
         self.now_us += TICK_US
+        speed = self.signals["gnss_a_velocity"].get("gnss_a_velocity_east", 0.0)
+        self.travelled_m += speed * TICK_US * 1e-6
         return self.sent
 
     def run(self, ticks: int) -> None:
@@ -192,10 +229,12 @@ class ObcHarness:
             assert self.ct_state == ct_state, (self.ct_state, ct_state)
 
     def set_speed(self, speed: float) -> None:
-        """Put the same speed (m/s) in wheels and estimate."""
+        """Put the same speed (m/s), along the path, in wheels, GNSS and estimate."""
         kmh = speed * 3.6
         self.signals["wheel_speed_report"] = {f"wheel_speed_{wheel}": kmh for wheel in ("FL", "FR", "RL", "RR")}
         self.signals["estimate_motion"]["estimate_vx"] = speed
+        for receiver in ("gnss_a", "gnss_b"):
+            self.signals[f"{receiver}_velocity"][f"{receiver}_velocity_east"] = speed
 
     def active_faults(self) -> set[int]:
         return {index for index in range(lib.FAULT_COUNT) if self.obc.ssm.faults.faults[index].active}

@@ -213,6 +213,8 @@ uint8_t dbw_command_step(dbw_command *self, const dbw_demand *demand, const dbw_
     const setpoint command = gate(demand, limits, mode);
     const bool follow = demand->steer && (violations & DBW_VIOLATION_STEERING) == 0U;
     self->road_wheel_angle = steer(self->road_wheel_angle, demand, limits, follow);
+    self->throttle = command.throttle;
+    self->brake_pressure = command.brake_pressure;
 
     send_brake(self, command.brake_pressure, out);
     send_throttle(self, command.throttle, out);

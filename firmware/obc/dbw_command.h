@@ -65,6 +65,8 @@ typedef struct dbw_ct_report {
 /* State: zero it to start. */
 typedef struct dbw_command {
     float road_wheel_angle; /* last one commanded, rad */
+    float throttle;         /* last one commanded, 0..1 */
+    float brake_pressure;   /* last one commanded, Pa */
     uint8_t gear;           /* last one commanded */
     uint8_t gear_age;       /* cycles since gear_shift_cmd was sent */
     bool gear_sent;

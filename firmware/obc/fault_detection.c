@@ -6,6 +6,11 @@
 
 #include "obc/ct_state.h"
 
+/* Units of details. */
+#define MILLI     1000.0f
+#define CENTI     100.0f
+#define PA_TO_KPA 0.001f
+
 enum { WATCHDOG_WINDOW_US = 1000000 };
 
 static void set(fault_conditions *conditions, uint32_t id, bool present, uint32_t detail)
@@ -73,18 +78,55 @@ typedef struct sensor_row {
     uint8_t timeout_fault;
     uint8_t rate_fault;
     uint8_t size_fault;
+    uint8_t frozen_fault;
+    uint8_t jump_fault;
     uint8_t timeout;
     uint8_t min_rate;
     uint8_t data_size;
+    uint8_t frozen_timeout;
+    uint8_t max_step[SENSOR_STEPS];
 } sensor_row;
 
 static const sensor_row sensor_rows[SENSOR_COUNT] = {
-    [SENSOR_GNSS_A] = {FAULT_GNSS_A_TIMEOUT, FAULT_GNSS_A_LOW_RATE, FAULT_GNSS_A_WRONG_SIZE, PARAMETER_GNSS_A_TIMEOUT,
-                       PARAMETER_GNSS_A_MIN_RATE, PARAMETER_GNSS_A_DATA_SIZE},
-    [SENSOR_GNSS_B] = {FAULT_GNSS_B_TIMEOUT, FAULT_GNSS_B_LOW_RATE, FAULT_GNSS_B_WRONG_SIZE, PARAMETER_GNSS_B_TIMEOUT,
-                       PARAMETER_GNSS_B_MIN_RATE, PARAMETER_GNSS_B_DATA_SIZE},
-    [SENSOR_IMU] = {FAULT_IMU_TIMEOUT, FAULT_IMU_LOW_RATE, FAULT_IMU_WRONG_SIZE, PARAMETER_IMU_TIMEOUT,
-                    PARAMETER_IMU_MIN_RATE, PARAMETER_IMU_DATA_SIZE},
+    [SENSOR_GNSS_A] =
+        {
+            .timeout_fault = FAULT_GNSS_A_TIMEOUT,
+            .rate_fault = FAULT_GNSS_A_LOW_RATE,
+            .size_fault = FAULT_GNSS_A_WRONG_SIZE,
+            .frozen_fault = FAULT_GNSS_A_FROZEN,
+            .jump_fault = FAULT_GNSS_A_JUMP,
+            .timeout = PARAMETER_GNSS_A_TIMEOUT,
+            .min_rate = PARAMETER_GNSS_A_MIN_RATE,
+            .data_size = PARAMETER_GNSS_A_DATA_SIZE,
+            .frozen_timeout = PARAMETER_GNSS_FROZEN_TIMEOUT,
+            .max_step = {PARAMETER_GNSS_MAX_POSITION_STEP, PARAMETER_GNSS_MAX_POSITION_STEP},
+        },
+    [SENSOR_GNSS_B] =
+        {
+            .timeout_fault = FAULT_GNSS_B_TIMEOUT,
+            .rate_fault = FAULT_GNSS_B_LOW_RATE,
+            .size_fault = FAULT_GNSS_B_WRONG_SIZE,
+            .frozen_fault = FAULT_GNSS_B_FROZEN,
+            .jump_fault = FAULT_GNSS_B_JUMP,
+            .timeout = PARAMETER_GNSS_B_TIMEOUT,
+            .min_rate = PARAMETER_GNSS_B_MIN_RATE,
+            .data_size = PARAMETER_GNSS_B_DATA_SIZE,
+            .frozen_timeout = PARAMETER_GNSS_FROZEN_TIMEOUT,
+            .max_step = {PARAMETER_GNSS_MAX_POSITION_STEP, PARAMETER_GNSS_MAX_POSITION_STEP},
+        },
+    [SENSOR_IMU] =
+        {
+            .timeout_fault = FAULT_IMU_TIMEOUT,
+            .rate_fault = FAULT_IMU_LOW_RATE,
+            .size_fault = FAULT_IMU_WRONG_SIZE,
+            .frozen_fault = FAULT_IMU_FROZEN,
+            .jump_fault = FAULT_IMU_JUMP,
+            .timeout = PARAMETER_IMU_TIMEOUT,
+            .min_rate = PARAMETER_IMU_MIN_RATE,
+            .data_size = PARAMETER_IMU_DATA_SIZE,
+            .frozen_timeout = PARAMETER_IMU_FROZEN_TIMEOUT,
+            .max_step = {PARAMETER_IMU_MAX_RATE_STEP, PARAMETER_IMU_MAX_FORCE_STEP},
+        },
 };
 
 static void detect_sensors(const fault_sources *sources, fault_conditions *conditions)
@@ -95,11 +137,16 @@ static void detect_sensors(const fault_sources *sources, fault_conditions *condi
             .timeout_ms = milliseconds(sources, row->timeout),
             .min_rate = parameters_real(sources->parameters, row->min_rate),
             .data_size = (uint32_t)parameters_integer(sources->parameters, row->data_size),
+            .frozen_timeout_ms = milliseconds(sources, row->frozen_timeout),
+            .max_step = {parameters_real(sources->parameters, row->max_step[0]),
+                         parameters_real(sources->parameters, row->max_step[1])},
         };
         const sensor_health health = sensor_monitor_check(sources->sensors, i, &limits, sources->now_us);
         set(conditions, row->timeout_fault, health.timed_out, health.age_ms);
         set(conditions, row->rate_fault, health.low_rate, health.rate);
         set(conditions, row->size_fault, health.wrong_size, health.size);
+        set(conditions, row->frozen_fault, health.frozen, health.still_ms);
+        set(conditions, row->jump_fault, health.jumps != 0U, health.jumps);
     }
 }
 
@@ -148,13 +195,25 @@ static void detect_estimate_and_plan(const fault_sources *sources, fault_conditi
     set(conditions, FAULT_PLAN_STALE, age_ms > milliseconds(sources, PARAMETER_PLAN_TIMEOUT), (uint32_t)age_ms);
 }
 
+/* The primary has parted from both backups, which need not agree with each other to the last bit either: two of three.
+ */
+static void detect_divergence(const fault_sources *sources, fault_conditions *conditions)
+{
+    const float *wish = sources->control->road_wheel_angle;
+    const float limit = parameters_real(sources->parameters, PARAMETER_MAX_CONTROLLER_DEVIATION);
+    const float deviation =
+        fminf(fabsf(wish[CONTROL_LQR] - wish[CONTROL_STANLEY]), fabsf(wish[CONTROL_LQR] - wish[CONTROL_PURE_PURSUIT]));
+    set(conditions, FAULT_LQR_DIVERGING, sources->control->lateral_valid && deviation > limit,
+        whole(deviation * MILLI));
+}
+
 static void detect_control(const fault_sources *sources, fault_conditions *conditions)
 {
     const control_output *control = sources->control;
     const bool valid = control->lateral_valid;
     const float deviation = fabsf(control->cross_track_error);
     set(conditions, FAULT_PATH_LEFT, deviation > parameters_real(sources->parameters, PARAMETER_MAX_CROSS_TRACK_ERROR),
-        whole(deviation * 100.0f));
+        whole(deviation * CENTI));
     set(conditions, FAULT_LQR_INVALID, valid && !isfinite(control->road_wheel_angle[CONTROL_LQR]), 0U);
     set(conditions, FAULT_STANLEY_INVALID, valid && !isfinite(control->road_wheel_angle[CONTROL_STANLEY]), 0U);
     set(conditions, FAULT_PURE_PURSUIT_INVALID, valid && !isfinite(control->road_wheel_angle[CONTROL_PURE_PURSUIT]),
@@ -163,7 +222,65 @@ static void detect_control(const fault_sources *sources, fault_conditions *condi
 
     const float lateral = fabsf(sources->vehicle->control.wheel_speed * sources->estimate->estimate.yaw_rate);
     const float limit = parameters_real(sources->parameters, PARAMETER_MAX_LATERAL_ACCELERATION);
-    set(conditions, FAULT_LATERAL_ACCELERATION_HIGH, lateral > limit, whole(lateral * 100.0f));
+    set(conditions, FAULT_LATERAL_ACCELERATION_HIGH, lateral > limit, whole(lateral * CENTI));
+}
+
+/* A report contradicts the command of the cycle before; how long that may be is for the debounce to say. A report that
+ * is missing contradicts nothing: its last value is old news, and its absence is a fault of its own. */
+static void detect_deviation(const fault_sources *sources, fault_conditions *conditions, uint32_t fault,
+                             uint32_t missing, float deviation, uint32_t limit, float scale)
+{
+    const bool above = deviation > parameters_real(sources->parameters, limit);
+    set(conditions, fault, above && !conditions->present[missing], whole(deviation * scale));
+}
+
+/* Smallest difference between the wheels' speed and that of a live GNSS receiver, m/s; 0 without one. A receiver that
+ * contradicts the wheels and the other receiver is no fault of the wheels. */
+static float wheel_speed_deviation(const fault_sources *sources, const fault_conditions *conditions)
+{
+    const float wheels = sources->vehicle->control.wheel_speed;
+    float deviation = INFINITY;
+    for (uint32_t i = SENSOR_GNSS_A; i <= SENSOR_GNSS_B; i++) {
+        if (!conditions->present[sensor_rows[i].timeout_fault]) {
+            deviation = fminf(deviation, fabsf(wheels - sensor_monitor_ground_speed(sources->sensors, i)));
+        }
+    }
+    return isfinite(deviation) ? deviation : 0.0f;
+}
+
+/* How much more throttle is reported than was commanded. Less is a shift or a limit of the engine's; more is dangerous,
+ * wherever it comes from. */
+static float throttle_excess(const fault_sources *sources, const fault_conditions *conditions)
+{
+    const vehicle_feedback *vehicle = sources->vehicle;
+    const float asked = conditions->present[FAULT_ACCELERATOR_REPORT_MISSING] ? 0.0f : vehicle->accelerator;
+    const float given = conditions->present[FAULT_POWERTRAIN_REPORT_MISSING] ? 0.0f : vehicle->throttle_position;
+    return fmaxf(asked, given) - sources->dbw->throttle;
+}
+
+static void detect_disobedience(const fault_sources *sources, fault_conditions *conditions)
+{
+    const control_feedback *car = &sources->vehicle->control;
+    const dbw_command *dbw = sources->dbw;
+    detect_deviation(sources, conditions, FAULT_STEERING_IMPLAUSIBLE, FAULT_STEERING_REPORT_MISSING,
+                     fabsf(car->road_wheel_angle - dbw->road_wheel_angle), PARAMETER_MAX_STEERING_DEVIATION, MILLI);
+    detect_deviation(sources, conditions, FAULT_BRAKE_IMPLAUSIBLE, FAULT_BRAKE_REPORT_MISSING,
+                     fabsf(car->brake_pressure - dbw->brake_pressure), PARAMETER_MAX_BRAKE_DEVIATION, PA_TO_KPA);
+    detect_deviation(sources, conditions, FAULT_THROTTLE_IMPLAUSIBLE, FAULT_NONE, throttle_excess(sources, conditions),
+                     PARAMETER_MAX_THROTTLE_EXCESS, CENTI);
+    set(conditions, FAULT_GEAR_IMPLAUSIBLE,
+        car->gear != dbw->gear && !conditions->present[FAULT_POWERTRAIN_REPORT_MISSING], car->gear);
+    detect_deviation(sources, conditions, FAULT_WHEEL_SPEED_IMPLAUSIBLE, FAULT_WHEEL_SPEED_MISSING,
+                     wheel_speed_deviation(sources, conditions), PARAMETER_MAX_WHEEL_SPEED_DEVIATION, CENTI);
+}
+
+/* Stuck counters; messages without a counter are left to their age and their values. */
+static void detect_stuck_reports(const vehicle_feedback *vehicle, fault_conditions *conditions)
+{
+    set(conditions, FAULT_BRAKE_REPORT_STUCK, vehicle_feedback_stuck(vehicle, VEHICLE_BRAKE), 0U);
+    set(conditions, FAULT_ACCELERATOR_REPORT_STUCK, vehicle_feedback_stuck(vehicle, VEHICLE_ACCELERATOR), 0U);
+    set(conditions, FAULT_STEERING_REPORT_STUCK, vehicle_feedback_stuck(vehicle, VEHICLE_STEERING), 0U);
+    set(conditions, FAULT_MISC_REPORT_STUCK, vehicle_feedback_stuck(vehicle, VEHICLE_MISC), 0U);
 }
 
 static void detect_report(const fault_sources *sources, fault_conditions *conditions, uint32_t fault, uint32_t report,
@@ -184,6 +301,8 @@ static void detect_vehicle(const fault_sources *sources, fault_conditions *condi
                   PARAMETER_POWERTRAIN_REPORT_TIMEOUT);
     detect_report(sources, conditions, FAULT_DIAGNOSTIC_REPORT_MISSING, VEHICLE_DIAGNOSTIC,
                   PARAMETER_DIAGNOSTIC_REPORT_TIMEOUT);
+    detect_report(sources, conditions, FAULT_ACCELERATOR_REPORT_MISSING, VEHICLE_ACCELERATOR,
+                  PARAMETER_ACCELERATOR_REPORT_TIMEOUT);
     const uint16_t race_control_age_ms = vehicle_feedback_race_control_age_ms(sources->vehicle, sources->now_us);
     set(conditions, FAULT_RACE_CONTROL_LOST,
         race_control_age_ms > milliseconds(sources, PARAMETER_RACE_CONTROL_TIMEOUT), race_control_age_ms);
@@ -218,6 +337,9 @@ void fault_detection_step(fault_detection *self, const fault_sources *sources, f
     detect_nodes(sources, conditions);
     detect_estimate_and_plan(sources, conditions);
     detect_control(sources, conditions);
+    detect_divergence(sources, conditions);
     detect_vehicle(sources, conditions);
+    detect_stuck_reports(sources->vehicle, conditions);
+    detect_disobedience(sources, conditions);
     detect_diagnostic(&sources->vehicle->diagnostic, conditions);
 }

@@ -8,6 +8,7 @@
 
 #include "common/executive.h"
 #include "obc/control.h"
+#include "obc/dbw_command.h"
 #include "obc/estimate_receiver.h"
 #include "obc/fault_monitor.h"
 #include "obc/node_monitor.h"
@@ -25,6 +26,7 @@ typedef struct fault_sources {
     const estimate_receiver *estimate;
     const trajectory *plan; /* newest complete plan, or null */
     const control_output *control;
+    const dbw_command *dbw; /* commands of the previous cycle */
     const executive *executive;
     uint64_t now_us;
     uint64_t launch_us; /* newest launch request; only meaningful with launch_seen */

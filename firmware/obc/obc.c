@@ -171,6 +171,7 @@ static void run_monitor(void *context)
         .estimate = &self->estimate,
         .plan = trajectory_receiver_latest(&self->plans),
         .control = &self->control_output,
+        .dbw = &self->dbw,
         .executive = &self->executive,
         .now_us = self->io.now_us,
         .launch_us = self->launch.rx.last_valid_us,

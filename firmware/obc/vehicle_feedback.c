@@ -6,6 +6,7 @@
 #define DEGREE       (3.14159265f / 180.0f)
 #define RPM_TO_RAD_S (3.14159265f / 30.0f)
 #define KPA_TO_PA    1000.0f
+#define PERCENT      0.01f
 
 static void take_wheel_speed(vehicle_feedback *self, const uint8_t *data)
 {
@@ -47,6 +48,14 @@ static void take_powertrain(vehicle_feedback *self, const uint8_t *data)
     self->control.gear = report.current_gear;
     self->control.gear_shift_status = report.gear_shift_status;
     self->control.engine_running = report.engine_state != 0U;
+    self->throttle_position = (float)raptor_pt_report_1_throttle_position_decode(report.throttle_position) * PERCENT;
+}
+
+static void take_accelerator(vehicle_feedback *self, const uint8_t *data)
+{
+    struct raptor_accelerator_report_t report;
+    (void)raptor_accelerator_report_unpack(&report, data, CAN_DATA_MAX);
+    self->accelerator = (float)raptor_accelerator_report_acc_pedal_fdbk_decode(report.acc_pedal_fdbk) * PERCENT;
 }
 
 static void take_diagnostic(vehicle_feedback *self, const uint8_t *data)
@@ -114,6 +123,8 @@ static uint32_t report_of(uint32_t id)
         return VEHICLE_RACE_CONTROL;
     case RAPTOR_MARELLI_REPORT_1_FRAME_ID:
         return VEHICLE_MARELLI;
+    case RAPTOR_ACCELERATOR_REPORT_FRAME_ID:
+        return VEHICLE_ACCELERATOR;
     default:
         return VEHICLE_REPORT_COUNT;
     }
@@ -147,6 +158,9 @@ void vehicle_feedback_push(vehicle_feedback *self, const can_frame *frame, float
     case VEHICLE_RACE_CONTROL:
         take_race_control(self, frame->data, now_us);
         break;
+    case VEHICLE_ACCELERATOR:
+        take_accelerator(self, frame->data);
+        break;
     default:
         take_marelli(self, frame->data);
         break;
@@ -162,6 +176,11 @@ static uint16_t age_ms(bool seen, uint64_t since_us, uint64_t now_us)
 uint16_t vehicle_feedback_age_ms(const vehicle_feedback *self, uint32_t report, uint64_t now_us)
 {
     return age_ms(self->rx[report].seen, self->rx[report].last_valid_us, now_us);
+}
+
+bool vehicle_feedback_stuck(const vehicle_feedback *self, uint32_t report)
+{
+    return self->rx[report].last_status == CODEC_COUNTER_STUCK;
 }
 
 uint16_t vehicle_feedback_race_control_age_ms(const vehicle_feedback *self, uint64_t now_us)

@@ -19,7 +19,8 @@ enum vehicle_report {
     VEHICLE_DIAGNOSTIC = 5,
     VEHICLE_RACE_CONTROL = 6,
     VEHICLE_MARELLI = 7,
-    VEHICLE_REPORT_COUNT = 8,
+    VEHICLE_ACCELERATOR = 8,
+    VEHICLE_REPORT_COUNT = 9,
 };
 
 /* diagnostic_report, bit by bit. */
@@ -55,6 +56,8 @@ typedef struct vehicle_feedback {
     control_feedback control;
     vehicle_diagnostic diagnostic;
     vehicle_race_control race_control;
+    float accelerator;       /* 0..1, what the Raptor asks of the engine */
+    float throttle_position; /* 0..1, what the engine reports */
     uint8_t sys_state;
 } vehicle_feedback;
 
@@ -65,6 +68,9 @@ void vehicle_feedback_push(vehicle_feedback *self, const can_frame *frame, float
 /* Age of a report's newest valid frame in ms, saturating; 65535 when there was none.
  * report: enum vehicle_report below VEHICLE_REPORT_COUNT. */
 uint16_t vehicle_feedback_age_ms(const vehicle_feedback *self, uint32_t report, uint64_t now_us);
+
+/* True when the newest frame of a report repeated the counter of the one before it. */
+bool vehicle_feedback_stuck(const vehicle_feedback *self, uint32_t report);
 
 /* Time without progress of race control's heartbeat in ms, saturating; 65535 when there was none. */
 uint16_t vehicle_feedback_race_control_age_ms(const vehicle_feedback *self, uint64_t now_us);

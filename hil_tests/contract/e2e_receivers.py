@@ -162,6 +162,7 @@ def completed(station: Station, traffic: Traffic) -> Traffic:
 #: The onboard computer's time-outs are parameters of the operation, by message. The other messages that it counts have
 #: none: the followers in a sensor's sample are counted with the sample, and old flags of Marelli are not acknowledged.
 OBC_TIMEOUTS = {
+    "accelerator_report": "accelerator_report_timeout",
     "base_to_car_summary": "race_control_timeout",
     "brake_pressure_report": "brake_report_timeout",
     "diagnostic_report": "diagnostic_report_timeout",
@@ -205,7 +206,8 @@ OBC_MISSED = frozenset(
     {
         "gnss_a_timeout", "gnss_b_timeout", "imu_timeout", "estimate_lost", "launch_withdrawn", "wheel_speed_missing",
         "brake_report_missing", "steering_report_missing", "misc_report_missing", "powertrain_report_missing",
-        "diagnostic_report_missing", "race_control_lost", "plan_stale", "planning_stalled", "estimation_stalled",
+        "diagnostic_report_missing", "accelerator_report_missing", "race_control_lost", "plan_stale",
+        "planning_stalled", "estimation_stalled",
     }
 )  # fmt: skip
 

@@ -6,11 +6,11 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from obc_harness import ObcHarness, drop
+from obc_harness import NOISY, ObcHarness, drop
 
 from bridge._native import lib
-from dbc.codec import database
-from dbc.frames import iterate
+from dbc.codec import MessageCodec, database
+from dbc.frames import Station, iterate
 from firmware.tables import REACTIONS, load_faults
 
 FAULTS = {fault.name: fault for fault in load_faults()}
@@ -107,6 +107,52 @@ SENSORS = {
     "imu": ("imu_rates", 20_000),
 }
 
+#: Status codes that a node of a running car must not report: those of one that starts, and those of one that fails.
+NOT_READY = {"initialized": 64, "inactive": 100, "not initialized": 128}
+FAILED = {"error": 200, "dead": 255, "unknown": 7}
+
+COUNTERS = {
+    "brake_report_stuck": ("brake_pressure_report", "brk_pressure_fdbk_counter"),
+    "accelerator_report_stuck": ("accelerator_report", "acc_pedal_fdbk_counter"),
+    "steering_report_stuck": ("steering_report", "steering_motor_fdbk_counter"),
+    "misc_report_stuck": ("misc_report", "raptor_rolling_counter"),
+}
+
+
+def frozen(*prefixes: str) -> Provoke:
+    return lambda harness: harness.frozen_sensors.update(prefixes)
+
+
+def frozen_position(receiver: str) -> Provoke:
+    """The receiver repeats a position that lies where the car is, and the car drives on."""
+
+    def apply(harness: ObcHarness) -> None:
+        name = f"{receiver}_position"
+        harness.signals[name] = harness.world(name)
+
+    return apply
+
+
+def lead_lqr_astray(harness: ObcHarness) -> None:
+    """An integrator that holds a turn of its own, finite and steady."""
+
+    def bias(frames: bytes) -> bytes:
+        harness.obc.control.lqr.integral = 0.06
+        return frames
+
+    harness.filters.append(bias)
+
+
+def slow_down(report: str, **values: float) -> Provoke:
+    """The plan asks for a halt, and this report stays as it is."""
+
+    def apply(harness: ObcHarness) -> None:
+        harness.plan_speed = 0.0
+        harness.signals[report].update(values)
+
+    return apply
+
+
 CASES: list[tuple[str, str, Provoke]] = [
     ("parameter_write_late", "write", late_write),
     ("executive_overrun", "cost", cost(lib.OBC_TASK_STATUS, 11_000)),
@@ -122,9 +168,8 @@ CASES: list[tuple[str, str, Provoke]] = [
         case
         for number, name in ((0, "estimation"), (1, "planning"))
         for case in (
-            (f"{name}_not_ok", "inactive", node(number, code=100)),
-            (f"{name}_failed", "error", node(number, code=200)),
-            (f"{name}_failed", "dead", node(number, code=255)),
+            *((f"{name}_not_ok", word, node(number, code=code)) for word, code in NOT_READY.items()),
+            *((f"{name}_failed", word, node(number, code=code)) for word, code in FAILED.items()),
             (f"{name}_failed", "silent", node(number, silent=True)),
             (f"{name}_stalled", "frozen", node(number, frozen=True)),
             (f"{name}_low_reliability", "low", node(number, reliability=49.5)),
@@ -164,6 +209,31 @@ CASES: list[tuple[str, str, Provoke]] = [
     ("second_computer", "reports", also_sent("ssm_status")),
     ("computer_stopping", "told", lambda harness: lib.obc_stop(harness.obc)),
     ("race_control_lost", "frozen", signal("base_to_car_summary", base_to_car_heartbeat=3)),
+    *(
+        case
+        for receiver in ("gnss_a", "gnss_b")
+        for case in (
+            (f"{receiver}_frozen", "position", frozen_position(receiver)),
+            (f"{receiver}_frozen", "velocity", frozen(f"{receiver}_velocity")),
+            (f"{receiver}_frozen", "attitude", frozen(f"{receiver}_attitude")),
+            (f"{receiver}_jump", "position", signal(f"{receiver}_position", **{f"{receiver}_latitude": 5e-5})),
+        )
+    ),
+    ("imu_frozen", "rates", frozen("imu_rates")),
+    ("imu_frozen", "force", frozen("imu_specific_force")),
+    ("imu_jump", "rate", signal("imu_rates", imu_yaw_rate=-1.5)),
+    ("imu_jump", "force", signal("imu_specific_force", imu_specific_force_y=35.0)),
+    ("lqr_diverging", "integrator", lead_lqr_astray),
+    ("accelerator_report_missing", "silent", silent("accelerator_report")),
+    *((fault, "counter", signal(report, **{counter: 7})) for fault, (report, counter) in COUNTERS.items()),
+    ("steering_implausible", "turned", signal("steering_report", steering_motor_ang_avg_fdbk=60.0)),
+    ("brake_implausible", "drags", signal("brake_pressure_report", brake_pressure_fdbk_front=2500)),
+    ("brake_implausible", "weak", slow_down("brake_pressure_report", brake_pressure_fdbk_front=0)),
+    ("throttle_implausible", "asked", slow_down("accelerator_report", acc_pedal_fdbk=40.0)),
+    ("throttle_implausible", "stuck open", slow_down("pt_report_1", throttle_position=40.0)),
+    ("gear_implausible", "stays", signal("pt_report_1", current_gear=5)),
+    ("wheel_speed_implausible", "stand", signal("wheel_speed_report", wheel_speed_FL=0.0, wheel_speed_FR=0.0)),
+    ("wheel_speed_implausible", "spin", signal("wheel_speed_report", wheel_speed_FL=90.0, wheel_speed_FR=90.0)),
 ]
 
 # Rejected files are in test_obc_bad_input; controllers without a state of their own are never not finite on finite
@@ -173,6 +243,34 @@ PROVEN_ELSEWHERE = {"parameters_rejected", "stanley_invalid", "pure_pursuit_inva
 
 def test_no_fault_is_left_out() -> None:
     assert {name for name, _, _ in CASES} | PROVEN_ELSEWHERE == set(FAULTS)
+
+
+def test_everything_supervised_has_its_rows() -> None:
+    """The table is complete: sensors, nodes, reports and diagnostic bits by kind of fault, from the sources of each."""
+    sensors = {name.split("_")[0] if name.startswith("imu") else name[:6] for name in NOISY}
+    assert sensors == {"gnss_a", "gnss_b", "imu"}
+    kinds = ("timeout", "low_rate", "wrong_size", "frozen", "jump")
+    assert {f"{sensor}_{kind}" for sensor in sensors for kind in kinds} <= set(FAULTS)
+    names = database.message("node_status").choices["node_id"]
+    nodes = [names[number].lower() for number in range(lib.NODE_COUNT)]
+    health = ("not_ok", "failed", "stalled", "low_reliability")
+    assert {f"{node}_{kind}" for node in nodes for kind in health} <= set(FAULTS)
+    codes = set(database.message("node_status").choices["node_status_code"]) - {0}
+    assert codes == (set(NOT_READY.values()) | set(FAILED.values())) - {FAILED["unknown"]}
+    assert {"estimate_degraded", "estimate_bad", "estimate_lost"} <= set(FAULTS)
+    reports = ("wheel_speed_missing", *(f"{r}_report_missing" for r in ("brake", "accelerator", "steering", "misc")))
+    assert {*reports, "powertrain_report_missing", "diagnostic_report_missing"} <= set(FAULTS)
+    plausible = ("steering", "brake", "throttle", "gear", "wheel_speed")
+    assert {f"{what}_implausible" for what in plausible} <= set(FAULTS)
+    heard = {report for report, _ in COUNTERS.values()} | {"base_to_car_summary"}
+    counted = {m.name for m in database if m.sender == Station.RAPTOR and m.name in ObcHarness().signals and counter(m)}
+    assert counted == heard
+    bits = {*DIAGNOSTIC.values(), *WARNING_BITS, "motec_warning"}
+    assert bits == set(database.message("diagnostic_report").signals)
+
+
+def counter(message: MessageCodec) -> bool:
+    return any(signal.endswith(("_counter", "_heartbeat")) for signal in message.signals)
 
 
 @pytest.mark.parametrize(("name", "provoke"), [pytest.param(n, p, id=f"{n}-{way}") for n, way, p in CASES])

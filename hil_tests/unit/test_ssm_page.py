@@ -16,7 +16,8 @@ from bridge._native import ffi, lib
 from dbc.states import CtState, SysState
 from firmware.tables import LATCHES, REACTIONS
 
-PAGE = (Path(__file__).resolve().parents[2] / "docs" / "ssm.md").read_text()
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+PAGE, FAULT_PAGE = ((DOCS / name).read_text() for name in ("ssm.md", "faults.md"))
 SSM_STATES = ["BOOT", "CONFIG_CHECK", "LAUNCHING", "NOMINAL", "DEGRADED", "EMERGENCY", "FULL_BRAKE"]
 
 Edges = set[tuple[int, int]]
@@ -47,8 +48,13 @@ def test_names_and_numbers() -> None:
     assert numbered(rows(text, "latch")) == {n: getattr(lib, f"FAULT_LATCH_{n.upper()}") for n in LATCHES}
 
 
+def transitions(page: str) -> set[tuple[str, str]]:
+    return set(re.findall(r"^    (\w+) --> (\w+)", page, re.MULTILINE))
+
+
 def test_ssm_diagram_has_every_transition_and_no_other() -> None:
-    drawn = {(a, b) for a, b in re.findall(r"^    (\w+) --> (\w+)", PAGE, re.MULTILINE)}
+    drawn = transitions(PAGE)
+    assert drawn == transitions(FAULT_PAGE)
     generator = random.Random(1)
     done = set()
     for _ in range(300):
