@@ -241,14 +241,17 @@ def _fault_diagram(faults: tuple[Fault, ...]) -> str:
     def ids(reaction: str, scopes: tuple[str, ...] = SCOPES) -> str:
         return " ".join(str(f.id) for f in faults if f.reaction == reaction and f.supervised in scopes)
 
-    blocking = " ".join(str(f.id) for f in faults if f.blocks_launch)
     degrade = f"degrade {ids('degrade')}, switch controller {ids('switch_controller')}"
     safe_stop = f"safe stop {ids('safe_stop')}"
     edges = [
         ("[*]", "BOOT", ""),
         ("BOOT", "CONFIG_CHECK", ""),
         ("CONFIG_CHECK", "LAUNCHING", "configuration accepted"),
-        ("LAUNCHING", "NOMINAL", f"operator wants it, none of {blocking}"),
+        (
+            "LAUNCHING",
+            "NOMINAL",
+            f"operator wants it, none of the {sum(f.blocks_launch for f in faults)} that block the launch",
+        ),
         ("NOMINAL", "DEGRADED", degrade),
         ("DEGRADED", "NOMINAL", "all of them cleared"),
         ("NOMINAL", "EMERGENCY", safe_stop),

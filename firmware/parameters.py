@@ -153,7 +153,9 @@ def _wire_value(value: object) -> tuple[int, int]:
     return TYPE_FLOAT, int.from_bytes(packed, "little")
 
 
-def check_operation(operation: Sequence[tuple[str, object]], tick: Tick) -> Verdict:
+def check_operation(
+    operation: Sequence[tuple[str, object]], tick: Tick, schema: ParameterSchema | None = None
+) -> Verdict:
     """Have the firmware validate an operation.
 
     Parameters
@@ -161,13 +163,13 @@ def check_operation(operation: Sequence[tuple[str, object]], tick: Tick) -> Verd
     operation : names and values of parameters.
     tick : runs one 10 ms tick of a fresh onboard computer with the CAN-A frames given (concatenated 24-byte frames) and
         returns what it sent on CAN-A as (id, 8 data bytes).
+    schema : parameters that the firmware was built with; read anew when it is not given.
 
     Returns
     -------
     Verdict with every offence, in the firmware's order.
     """
-    schema = load_parameters()
-
+    schema = schema or load_parameters()
     result, summary = database.message("parameter_result"), database.message("parameter_summary")
     results: list[tuple[int, int, int]] = []
     for batch in _batches(encode_operation(operation, schema)):

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 from cli_harness import Command, assert_one_line, command
+from parameter_cells import EDGES, KINDS, SCHEMA, Cell, parameter_cell, rule_cell
 
 import scenarios
 from firmware.tables import load_parameters
@@ -63,6 +65,34 @@ def test_every_offence_of_a_file_is_listed(raceloop: Command, tmp_path: Path) ->
     }
     assert set(offences) == expected
     assert len(offences) == len(expected)
+
+
+#: One cell of the parameter matrix per kind, each of another parameter, and both edges of a rule.
+SAMPLE = [
+    *(
+        parameter_cell(SCHEMA.parameters[7 * number % len(SCHEMA.parameters)], kind)
+        for number, kind in enumerate(KINDS)
+    ),
+    *(rule_cell(SCHEMA.cross_checks[0], edge) for edge in EDGES),
+]
+
+
+@pytest.mark.parametrize("cell", SAMPLE, ids=lambda cell: cell.name)
+def test_matrix_as_a_user_meets_it(raceloop: Command, tmp_path: Path, cell: Cell) -> None:
+    """One line per offence, with key, reason and what is allowed."""
+    path = tmp_path / "operation.yaml"
+    path.write_text(cell.text)
+    answer = raceloop("check-params", path)
+    assert answer.error == ""
+    if not cell.offences:
+        assert (answer.status, answer.out) == (0, f"{path}: accepted\n")
+        return
+    title, *lines = answer.out.splitlines()
+    assert answer.status == 2
+    assert title.startswith(f"{path}: rejected, {len(cell.offences)} offence")
+    told = [re.fullmatch(r"  (\w+): .+: ([^:]+); allowed: .+", line) for line in lines]
+    assert sorted((match[1], match[2]) for match in told if match) == cell.offences
+    assert all(told)
 
 
 def test_single_offence(raceloop: Command, tmp_path: Path) -> None:

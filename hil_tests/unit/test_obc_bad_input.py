@@ -1,10 +1,8 @@
-"""Wrong configurations: everything is reported, the SSM stays in FULL_BRAKE, and nothing but full brake leaves."""
+"""Wrong configurations beyond the parameter matrix: floods, late ones, empty ones, and random frames."""
 
 from __future__ import annotations
 
-import math
 import random
-from typing import Any
 
 import pytest
 from obc_harness import OPERATION, ObcHarness
@@ -13,7 +11,7 @@ from bridge._native import lib
 from dbc.codec import database
 from dbc.frames import iterate
 from firmware.parameters import load_operation
-from firmware.tables import load_parameters, parameter_key
+from firmware.tables import parameter_key
 
 GOOD = dict(load_operation(OPERATION))
 RESULT = database.message("parameter_result")
@@ -24,41 +22,14 @@ def results(harness: ObcHarness) -> list[tuple[int, int]]:
     return [(int(key), int(status)) for key, status, _ in decoded]
 
 
-def wrong_operations() -> list[tuple[str, dict[str, Any]]]:
-    cases: list[tuple[str, dict[str, Any]]] = [("empty", {}), ("unknown", GOOD | {"max_sped": 1.0})]
-    for parameter in load_parameters().parameters:
-        name = parameter.name
-        without = {key: value for key, value in GOOD.items() if key != name}
-        cases += [
-            (f"{name}-missing", without),
-            (f"{name}-text", GOOD | {name: "x"}),
-            (f"{name}-null", GOOD | {name: None}),
-        ]
-        if parameter.type == "bool":
-            cases.append((f"{name}-number", GOOD | {name: 1}))
-            continue
-        one = 1 if parameter.type == "int" else 1.0
-        cases += [
-            (f"{name}-high", GOOD | {name: parameter.max + one}),
-            (f"{name}-sign", GOOD | {name: -parameter.max}),
-            (f"{name}-nan", GOOD | {name: math.nan}),
-            (f"{name}-infinite", GOOD | {name: math.inf}),
-            (f"{name}-bool", GOOD | {name: True}),
-        ]
-    return cases
-
-
-@pytest.mark.parametrize("operation", [pytest.param(o, id=name) for name, o in wrong_operations()])
-def test_rejected_configuration_is_a_full_brake(operation: dict[str, Any]) -> None:
+def test_an_empty_configuration_is_a_full_brake() -> None:
     harness = ObcHarness()
-    harness.configure(operation)
+    harness.configure({})
     for _ in range(40):
         harness.tick()
         assert (harness.brake_kpa, harness.throttle) == (6000, 0)
     assert harness.state == lib.SSM_FULL_BRAKE
-    assert harness.value("ssm_status", "ssm_worst_fault") == lib.FAULT_PARAMETERS_REJECTED
-    assert harness.value("parameter_summary", "summary_verdict") == lib.PARAMETER_VERDICT_REJECTED
-    assert any(status != lib.PARAMETER_ACCEPTED for _, status in results(harness))
+    assert harness.value("parameter_summary", "summary_missing") == len(GOOD)
 
 
 def test_a_good_configuration_after_a_bad_one_comes_too_late() -> None:

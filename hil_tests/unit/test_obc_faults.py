@@ -236,7 +236,7 @@ CASES: list[tuple[str, str, Provoke]] = [
     ("wheel_speed_implausible", "spin", signal("wheel_speed_report", wheel_speed_FL=90.0, wheel_speed_FR=90.0)),
 ]
 
-# Rejected files are in test_obc_bad_input; controllers without a state of their own are never not finite on finite
+# Rejected files are in test_parameter_matrix; controllers without a state of their own are never not finite on finite
 # frames, so what follows if they are is proven in test_ssm_states.
 PROVEN_ELSEWHERE = {"parameters_rejected", "stanley_invalid", "pure_pursuit_invalid"}
 
