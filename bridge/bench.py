@@ -13,6 +13,9 @@ import can
 from bridge._native import ffi, lib
 from bridge.bus import Network
 from bridge.collector import collector_paused
+from bridge.faults.fault import Fault
+from bridge.faults.injector import Injection, Injector
+from bridge.faults.plan import FaultPlan
 from bridge.interfaces import Autonomy, Road
 from bridge.monitor import RunMonitor
 from bridge.pace import WallClockPace
@@ -62,6 +65,7 @@ class Bench:
     obc, raptor, space_drive : the ECUs' C structs.
     silent : stations without power: they neither hear nor send, an ECU does not tick. A silent Raptor's outputs fall
         off; a silent Space Drive's motors stay where they are.
+    stalled : stations that do not tick: what they receive waits, their outputs stay as they are.
     now_us : start of the next tick.
     """
 
@@ -92,21 +96,22 @@ class Bench:
         self.obc: Any = ffi.new("obc *")
         self.raptor: Any = ffi.new("raptor *")
         self.space_drive: Any = ffi.new("space_drive *")
-        lib.obc_init(self.obc)
-        lib.raptor_init(self.raptor, ffi.NULL)
-        lib.space_drive_init(self.space_drive, ffi.NULL)
-        lib.obc_select_profile(self.obc, database.number)
-        lib.raptor_select_profile(self.raptor, database.number)
+        for station in (Station.OBC, Station.RAPTOR, Station.SPACE_DRIVE):
+            self.power_on(station)
         self.silent: set[Station] = set()
+        self.stalled: set[Station] = set()
         self.now_us = 0
         self.lost_in_outboxes = 0
         self._autonomy = autonomy
         self._taps = Taps(taps) if taps else None
         self._recorder: Recorder | None = None
+        self._injector: Injector | None = None
         self._states = ReportedStates(database)
         misc, report = self._states.misc_report, self._states.ct_report
         self._misc_data = ffi.buffer(self.network.watch(misc.bus, misc.frame_id).frame.data)
         self._ct_data = ffi.buffer(self.network.watch(report.bus, report.frame_id).frame.data)
+        for plan in scenario.faults:
+            self.inject(plan)
 
     @classmethod
     def from_scenario(
@@ -158,6 +163,44 @@ class Bench:
         """Record from here on; `finish` puts the recording into place."""
         self._recorder = Recorder(folder, self.plant.output_names, self.plant.output_units, self.scenario.profile)
 
+    def power_on(self, station: Station) -> None:
+        """Put an ECU into its power-on state: onboard computer, Raptor or Space Drive."""
+        number = profile(self.scenario.profile).number
+        if station is Station.OBC:
+            lib.obc_init(self.obc)
+            lib.obc_select_profile(self.obc, number)
+        elif station is Station.RAPTOR:
+            lib.raptor_init(self.raptor, ffi.NULL)
+            lib.raptor_select_profile(self.raptor, number)
+        elif station is Station.SPACE_DRIVE:
+            lib.space_drive_init(self.space_drive, ffi.NULL)
+        else:
+            raise ValueError(f"{station.name} is no ECU")
+
+    def inject(self, fault: Fault | FaultPlan, **times: Any) -> Injection:
+        """Inject a fault from the next tick on.
+
+        Parameters
+        ----------
+        fault : one of `bridge.faults`; or a plan of one, which has its times.
+        times : what `FaultPlan` has besides the fault: `onset`, `for_us`, `for_frames`, `times`, `every_us`, `seed`.
+
+        Raises
+        ------
+        CodecError
+            When the fault does not fit the messages of the scenario's profile.
+        """
+        plan = fault if isinstance(fault, FaultPlan) else FaultPlan(fault=fault, **times)
+        injector = self._injector or Injector(self)
+        injection = injector.add(plan)
+        self._injector = injector
+        return injection
+
+    @property
+    def injections(self) -> list[Injection]:
+        """All faults that were handed in, in their order."""
+        return [] if self._injector is None else self._injector.injections
+
     def tick(self) -> None:
         """One minor frame, in the order that never changes."""
         now_us, network, surroundings, wiring = self.now_us, self.network, self.surroundings, self.wiring
@@ -165,6 +208,9 @@ class Bench:
             self._drain()
         logged = network.logged()
         network.begin_tick(now_us, now_us + TICK_US)
+
+        if self._injector is not None:
+            self._injector.begin_tick(now_us)
 
         # People act, and frames come in from outside.
         surroundings.act()
@@ -192,7 +238,7 @@ class Bench:
             self.lost_in_outboxes += lib.bench_raptor_tick(
                 network.handle, self.raptor, now_us, wiring.raptor_in, wiring.raptor_out
             )
-        else:
+        elif Station.RAPTOR in self.silent:
             wiring.release_raptor()
         network.transmit(Bus.CAN1, Bus.CAN3)
         if self._speaks(Station.SPACE_DRIVE):
@@ -208,7 +254,7 @@ class Bench:
         self.safety.add_truth(now_us, self.plant.outputs)
         if self._recorder is not None:
             self._recorder.add_truth(now_us, self.plant.outputs)
-        surroundings.advance(now_us * 1e-6)
+        surroundings.advance(now_us * 1e-6, None if self._injector is None else self._injector.drive)
         self.now_us = now_us + TICK_US
         surroundings.observe(self.now_us, *self._states.decode(self._misc_data, self._ct_data))
 
@@ -283,9 +329,9 @@ class Bench:
         return self.network.losses() + self.lost_in_outboxes
 
     def _speaks(self, station: Station) -> bool:
-        """True unless the station is silent; then what it would have heard is gone."""
+        """True unless the station is silent, when what it would have heard is gone, or stalled."""
         if station not in self.silent:
-            return True
+            return station not in self.stalled
         self.network.take(station)
         return False
 

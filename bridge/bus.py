@@ -6,7 +6,7 @@ records (:mod:`dbc.frames`).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
@@ -60,6 +60,7 @@ class Network:
     def __init__(self, bit_rates: Mapping[Bus, int] = BIT_RATES) -> None:
         self.handle: Any = ffi.new("network *")
         lib.network_init(self.handle, [bit_rates[bus] for bus in Bus])
+        self._alter: Callable[[bytes], bytes] | None = None
         self._tick_us = 0
         self._elapsed_us = 0
 
@@ -92,8 +93,28 @@ class Network:
             raise ValueError(f"{len(frames)} bytes are not whole frames of {FRAME_SIZE}")
         lib.network_submit(self.handle, station, ffi.from_buffer("can_frame[]", frames), count)
 
+    def divert(self, alter: Callable[[bytes], bytes] | None) -> None:
+        """Let a function change what stations send, before it gets to the buses.
+
+        Parameters
+        ----------
+        alter : takes the frames that were submitted since the last transmission, in order, and returns those that are
+            to be queued, each with its sender; None for none.
+        """
+        self._alter = alter
+        self.handle.diverting = alter is not None
+
+    def forward(self, frames: bytes) -> None:
+        """Queue frames, each at the station that is its sender; they are not diverted."""
+        lib.network_forward(self.handle, ffi.from_buffer("can_frame[]", frames), len(frames) // FRAME_SIZE)
+
     def transmit(self, *buses: Bus) -> None:
         """Send what is pending on these buses into the inboxes of their stations, by arbitration."""
+        if self._alter is not None:
+            diverted = bytes(ffi.buffer(self.handle.diverted, self.handle.diverted_count * FRAME_SIZE))
+            self.handle.diverted_count = 0
+            if diverted:
+                self.forward(self._alter(diverted))
         for bus in buses:
             lib.network_transmit(self.handle, bus)
 
@@ -147,7 +168,7 @@ class Network:
         handle = self.handle
         queues = sum(handle.buses[bus].statistics.lost for bus in Bus)
         inboxes = sum(handle.inboxes[station].lost for station in Station)
-        return int(queues + inboxes + handle.log_lost + handle.misaddressed)
+        return int(queues + inboxes + handle.log_lost + handle.misaddressed + handle.diverted_lost)
 
     def statistics(self) -> dict[Bus, BusStatistics]:
         """Counts of every bus."""

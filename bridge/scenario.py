@@ -10,81 +10,27 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
+from bridge.condition import Condition, Situation, Trigger, condition_of, microseconds
+from bridge.faults.plan import FaultPlan
+from bridge.faults.reading import fault_schema, read_faults
 from bridge.yaml_file import check_schema, read_yaml
 from dbc.buses import DEFAULT_PROFILE
+from dbc.codec import profile
 from dbc.errors import ConfigurationError
-from dbc.states import CtState, SysState, TrackFlag, VehicleFlag
+from dbc.states import TrackFlag, VehicleFlag
 
-
-class Situation(NamedTuple):
-    """What conditions look at, once per tick.
-
-    Attributes
-    ----------
-    time_us : simulated time.
-    sys_state, ct_state : as last sent on CAN1.
-    distance_m : driven since power-on.
-    laps : full laps, line to line.
-    standstill : the car stands.
-    """
-
-    time_us: int
-    sys_state: int
-    ct_state: int
-    distance_m: float
-    laps: int
-    standstill: bool
-
-
-@dataclass(frozen=True)
-class Condition:
-    """All that is given must hold at once; times and distances are lower bounds.
-
-    `for_us` is how long the rest must have held without a break: see `Trigger`.
-    """
-
-    time_us: int | None = None
-    sys_state: SysState | None = None
-    ct_state: CtState | None = None
-    distance_m: float | None = None
-    laps: int | None = None
-    standstill: bool | None = None
-    for_us: int = 0
-
-    def holds(self, now: Situation) -> bool:
-        """True when all that is given holds now, whatever `for_us` asks."""
-        return (
-            (self.time_us is None or now.time_us >= self.time_us)
-            and (self.sys_state is None or now.sys_state == self.sys_state)
-            and (self.ct_state is None or now.ct_state == self.ct_state)
-            and (self.distance_m is None or now.distance_m >= self.distance_m)
-            and (self.laps is None or now.laps >= self.laps)
-            and (self.standstill is None or now.standstill == self.standstill)
-        )
-
-
-class Trigger:
-    """Watches one condition over time.
-
-    Parameters
-    ----------
-    condition : what to wait for.
-    """
-
-    def __init__(self, condition: Condition) -> None:
-        self._condition = condition
-        self._since_us: int | None = None
-
-    def update(self, now: Situation) -> bool:
-        """True when the condition holds and has held for as long as it asks; to be called every tick."""
-        if not self._condition.holds(now):
-            self._since_us = None
-            return False
-        if self._since_us is None:
-            self._since_us = now.time_us
-        return now.time_us - self._since_us >= self._condition.for_us
+__all__ = [
+    "Condition",
+    "FlagStep",
+    "Scenario",
+    "Situation",
+    "SwitchStep",
+    "Trigger",
+    "load_scenario",
+    "load_vehicle",
+]
 
 
 @dataclass(frozen=True)
@@ -125,6 +71,7 @@ class Scenario:
     race_control: tuple[FlagStep, ...]
     finish: Condition
     time_limit_us: int
+    faults: tuple[FaultPlan, ...] = ()
 
 
 def load_scenario(path: Path) -> Scenario:
@@ -152,11 +99,12 @@ def load_scenario(path: Path) -> Scenario:
         start_s_m=float(content["start"]["s_m"]),
         start_d_m=float(content["start"]["d_m"]),
         safety_switch=tuple(
-            SwitchStep(_condition(step["when"]), step["position"]) for step in content["safety_switch"]
+            SwitchStep(condition_of(step["when"]), step["position"]) for step in content["safety_switch"]
         ),
         race_control=tuple(_flag_step(step) for step in content["race_control"]),
-        finish=_condition(content["finish"]),
-        time_limit_us=_microseconds(content["time_limit_s"]),
+        finish=condition_of(content["finish"]),
+        time_limit_us=microseconds(content["time_limit_s"]),
+        faults=read_faults(path, content.get("faults", []), profile(content.get("profile", DEFAULT_PROFILE))),
     )
 
 
@@ -180,6 +128,7 @@ def load_vehicle(path: Path) -> dict[str, float]:
 def _schema() -> dict[str, Any]:
     text = resources.files("bridge").joinpath("schemas", "scenario.schema.json").read_text(encoding="utf-8")
     schema: dict[str, Any] = json.loads(text)
+    schema["properties"]["faults"]["items"] = fault_schema()
     return schema
 
 
@@ -192,27 +141,11 @@ def _referenced(scenario: Path, content: Mapping[str, Any], key: str, parent: st
     return path
 
 
-def _condition(when: Mapping[str, Any]) -> Condition:
-    return Condition(
-        time_us=_microseconds(when["time_s"]) if "time_s" in when else None,
-        sys_state=SysState[when["sys_state"]] if "sys_state" in when else None,
-        ct_state=CtState[when["ct_state"]] if "ct_state" in when else None,
-        distance_m=when.get("distance_m"),
-        laps=when.get("laps"),
-        standstill=when.get("standstill"),
-        for_us=_microseconds(when.get("for_s", 0.0)),
-    )
-
-
 def _flag_step(step: Mapping[str, Any]) -> FlagStep:
     flags = step["set"]
     return FlagStep(
-        when=_condition(step["when"]),
+        when=condition_of(step["when"]),
         track_flag=TrackFlag[flags["track_flag"]] if "track_flag" in flags else None,
         vehicle_flag=VehicleFlag[flags["vehicle_flag"]] if "vehicle_flag" in flags else None,
         round_target_speed_mph=flags.get("round_target_speed_mph"),
     )
-
-
-def _microseconds(seconds: float) -> int:
-    return round(seconds * 1e6)

@@ -6,8 +6,12 @@ says when, and in how frames and wires reach the ECUs.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from enum import Enum
 from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
 
 from bridge._native import lib
 from bridge.interfaces import Road
@@ -98,10 +102,17 @@ class Surroundings:
         self.wiring.sense()
         return self._sensors.emit(now_us, self.truth)
 
-    def advance(self, time_s: float) -> None:
-        """Drive the car by the ECUs' wires for one tick, from `time_s` of the plant's own time."""
+    def advance(self, time_s: float, change: Callable[[NDArray[np.float64]], None] | None = None) -> None:
+        """Drive the car by the ECUs' wires for one tick, from `time_s` of the plant's own time.
+
+        Parameters
+        ----------
+        change : is given the plant's inputs before the plant gets them.
+        """
         self.wiring.drive()
         self.wiring.lay_road(*self.road.road_at_station(self.station))
+        if change is not None:
+            change(self.plant.inputs)
         self.plant.step(time_s, TICK_US * 1e-6)
 
     def observe(self, now_us: int, sys_state: int, ct_state: int) -> None:

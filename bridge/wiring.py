@@ -10,6 +10,10 @@ from typing import Any
 from bridge._native import ffi, lib
 from bridge.plant import REQUIRED_INPUTS, Plant
 
+#: Grip of the road as the tyres of the plant know it, and the input that says so.
+NOMINAL_FRICTION = 1.0
+PLACE_OF_FRICTION = REQUIRED_INPUTS.index("road_friction")
+
 
 class Wiring:
     """The wired structs of Raptor and Space Drive, joined to one plant.
@@ -31,7 +35,7 @@ class Wiring:
         self.raptor_in.mode_switch = True
         self._inputs = ffi.from_buffer("double[]", plant.inputs, require_writable=True)
         self._outputs = ffi.from_buffer("double[]", plant.outputs)
-        plant.inputs[REQUIRED_INPUTS.index("road_friction")] = 1.0
+        plant.inputs[PLACE_OF_FRICTION] = NOMINAL_FRICTION
 
     def sense(self) -> None:
         """Plant outputs to the ECUs' inputs."""

@@ -96,6 +96,11 @@ def _explain(key: str, error: jsonschema.ValidationError) -> tuple[str, str]:
             return key, f"is {_show(value)}; must be at most {limit}"
         case "exclusiveMinimum":
             return key, f"is {_show(value)}; must be more than {limit}"
+        case "exclusiveMaximum":
+            return key, f"is {_show(value)}; must be less than {limit}"
+        case "dependentRequired":
+            name, needed = next((name, needed) for name, needed in limit.items() if name in value)
+            return _join(key, name), f"needs {' and '.join(needed)} beside it"
         case "minProperties":
             return key, f"is empty; must hold at least one of {', '.join(sorted(schema['properties']))}"
         case "minItems":

@@ -252,6 +252,18 @@ class MessageCodec:
         lib.codec_finish(self._frame, self._codec._rows + self.index, ffi.new("uint8_t *", counter & 0xFF))
         return bytes(self._frame_buffer)
 
+    def seal(self, frame: Buffer) -> bytes:
+        """Write the CRC that fits the content of a frame of this message, its message counter included.
+
+        Raises
+        ------
+        CodecError
+            When ``frame`` is not 24 bytes long.
+        """
+        row = self._codec._rows[self.index]
+        word = int.from_bytes(bytes(frame)[-_DATA_SIZE:], "little")
+        return self.finish(frame, word >> row.counter_start & ((1 << row.counter_length) - 1))
+
     def limits(self, signal: str) -> tuple[float, float]:
         """Smallest and largest physical value that the bits of a signal hold.
 

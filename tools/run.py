@@ -35,7 +35,7 @@ from tools.exit_status import ExitStatus
 from tools.progress import ProgressBar
 from tools.recorded import Recorded
 from tools.safety_summary import safety_summary
-from tools.summary import driving_summary, event_summary, show_summary, write_summary
+from tools.summary import driving_summary, event_summary, injected_summary, show_summary, write_summary
 
 DEFAULT_SCENARIO = scenarios.DIRECTORY / "solo_lap.yaml"
 SUMMARY = "summary.json"
@@ -198,6 +198,7 @@ def _summary(
         **driving_summary(Recorded(recording.signals, recording.truth)),
         **event_summary(bench.monitor),
         "safety": safety_summary(bench.safety),
+        "injected": injected_summary(bench.injections),
         "buses": {
             CHANNELS[bus]: {
                 "bit_rate": BIT_RATES[bus],

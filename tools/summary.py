@@ -15,6 +15,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from bridge.faults import Injection
 from bridge.monitor import FaultEvent, RunMonitor
 from dbc.buses import DEFAULT_PROFILE
 from dbc.errors import RaceloopError
@@ -94,6 +95,25 @@ def event_summary(monitor: RunMonitor, until_us: int | None = None) -> dict[str,
     }
 
 
+def injected_summary(injections: Iterable[Injection]) -> list[dict[str, Any]]:
+    """What was injected, in the order of the scenario file."""
+    return [
+        {
+            "fault": str(injection.fault),
+            "seed": injection.seed,
+            "count": injection.count,
+            "first_s": _seconds(injection.first_us),
+            "last_s": _seconds(injection.last_us),
+            "ended_s": _seconds(injection.ended_us),
+        }
+        for injection in injections
+    ]
+
+
+def _seconds(time_us: int | None) -> float | None:
+    return None if time_us is None else time_us * 1e-6
+
+
 def _faults(events: Iterable[FaultEvent]) -> list[dict[str, Any]]:
     """Every fault that became active, with when it cleared."""
     table = {fault.id: fault for fault in load_faults()}
@@ -156,6 +176,8 @@ def show_summary(summary: Mapping[str, Any], console: Console) -> None:
         console.print()
     for name, key in (("SSM", "ssm"), ("ct_state", "ct_state"), ("sys_state", "sys_state")):
         console.print(_states(name, summary[f"{key}_transitions"]))
+    for injected in summary.get("injected", []):
+        console.print(f"[yellow]Injected[/yellow] {escape(_injected(injected))}")
     for fault in summary["faults"]:
         cleared = "" if fault["cleared_s"] is None else f", cleared {fault['cleared_s']:.3f} s"
         console.print(f"[red]Fault[/red] {fault['time_s']:.3f} s: {fault['fault']} ({fault['reaction']}){cleared}")
@@ -170,6 +192,15 @@ def show_summary(summary: Mapping[str, Any], console: Console) -> None:
         show_real_time(real_time, console)
     console.print(f"frames.log SHA-256\n  {summary['frame_log_sha256']}")
     console.print(f"Files in {summary['folder']}: {', '.join(summary['files'])}", markup=False)
+
+
+def _injected(injected: Mapping[str, Any]) -> str:
+    """One injected fault in words."""
+    if injected["first_s"] is None:
+        return f"never: {injected['fault']}"
+    ended = "to the end" if injected["ended_s"] is None else f"ended {injected['ended_s']:.3f} s"
+    times = "once" if injected["count"] == 1 else f"{injected['count']} times"
+    return f"{injected['first_s']:.3f} s: {injected['fault']}; {times}, {ended}"
 
 
 def _show_driving(summary: Mapping[str, Any], console: Console) -> None:

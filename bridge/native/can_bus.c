@@ -307,6 +307,22 @@ bool can_bus_disturb(can_bus_model *self, const can_bus_disturbance *disturbance
     return true;
 }
 
+uint32_t can_bus_calm(can_bus_model *self, uint32_t id, uint8_t sender)
+{
+    uint32_t left = 0;
+    uint32_t kept = 0;
+    for (uint32_t i = 0; i < self->disturbance_count; i++) {
+        const can_bus_disturbance *one = &self->disturbances[i];
+        if (one->id == id && one->sender == sender) {
+            left += one->count;
+        } else {
+            self->disturbances[kept++] = *one;
+        }
+    }
+    self->disturbance_count = kept;
+    return left;
+}
+
 /* Use up the first planned error that a frame matches. */
 static bool planned_error(can_bus_model *self, const can_frame *frame, uint32_t frame_bits, outcome *result)
 {

@@ -204,6 +204,9 @@ void can_bus_report(const can_bus_model *self, uint8_t node, uint32_t id, uint64
 /* Plan an error. False when there are too many. */
 bool can_bus_disturb(can_bus_model *self, const can_bus_disturbance *disturbance);
 
+/* Forget what is left of the planned errors of these frames. Returns how many. */
+uint32_t can_bus_calm(can_bus_model *self, uint32_t id, uint8_t sender);
+
 /* Bits of frames are wrong at random from here on. rate: probability per bit, 0 to below 1. */
 void can_bus_set_bit_error_rate(can_bus_model *self, double rate, uint64_t seed);
 

@@ -47,18 +47,42 @@ void network_end_slot(network *self)
     self->slot_start_ns = self->slot_end_ns; /* what is submitted between slots has time to start at the next one */
 }
 
+static void queue(network *self, uint8_t station, const can_frame *frame)
+{
+    if (frame->bus >= CAN_BUS_COUNT) {
+        self->misaddressed++;
+        return;
+    }
+    can_bus_model *bus = &self->buses[frame->bus];
+    /* A station that ticks later in the slot does so when what it has heard is through. */
+    const uint64_t now_ns = bus->free_ns > self->slot_start_ns ? bus->free_ns : self->slot_start_ns;
+    self->scratch[0].frame = *frame;
+    (void)can_bus_submit(bus, station, &self->scratch[0], now_ns); /* the bus counts what it refuses */
+}
+
 void network_submit(network *self, uint8_t station, const can_frame *frames, uint32_t count)
 {
-    for (uint32_t i = 0; i < count; i++) {
-        if (frames[i].bus < CAN_BUS_COUNT) {
-            can_bus_model *bus = &self->buses[frames[i].bus];
-            /* A station that ticks later in the slot does so when what it has heard is through. */
-            const uint64_t now_ns = bus->free_ns > self->slot_start_ns ? bus->free_ns : self->slot_start_ns;
-            self->scratch[0].frame = frames[i];
-            (void)can_bus_submit(bus, station, &self->scratch[0], now_ns); /* the bus counts what it refuses */
-        } else {
-            self->misaddressed++;
+    if (!self->diverting) {
+        for (uint32_t i = 0; i < count; i++) {
+            queue(self, station, &frames[i]);
         }
+        return;
+    }
+    for (uint32_t i = 0; i < count; i++) {
+        if (self->diverted_count == NETWORK_DIVERTED_MAX) {
+            self->diverted_lost++;
+            continue;
+        }
+        can_frame *held = &self->diverted[self->diverted_count++];
+        *held = frames[i];
+        held->sender = station;
+    }
+}
+
+void network_forward(network *self, const can_frame *frames, uint32_t count)
+{
+    for (uint32_t i = 0; i < count; i++) {
+        queue(self, frames[i].sender, &frames[i]);
     }
 }
 

@@ -17,6 +17,7 @@ enum {
     NETWORK_LOG_MAX = 8192,
     NETWORK_WATCH_MAX = 16,
     NETWORK_SCRATCH_MAX = 64,
+    NETWORK_DIVERTED_MAX = 1024,
 };
 
 /* What a station has received and not taken yet, oldest first. */
@@ -40,12 +41,16 @@ typedef struct network {
     uint32_t log_lost;
     uint32_t log_count;
     uint32_t watch_count;
+    uint32_t diverted_count;
+    uint32_t diverted_lost;
+    bool diverting; /* what stations submit goes to `diverted`, not to the buses */
     uint8_t members[CAN_BUS_COUNT]; /* bit n: station n sits on the bus */
     network_watch watches[NETWORK_WATCH_MAX];
     can_bus_model buses[CAN_BUS_COUNT];
     network_inbox inboxes[CAN_STATION_COUNT];
     can_frame log[NETWORK_LOG_MAX];             /* transmitted since the last drain, per bus in order of time */
     can_bus_frame scratch[NETWORK_SCRATCH_MAX]; /* on their way through */
+    can_frame diverted[NETWORK_DIVERTED_MAX];   /* submitted and held back, in order */
 } network;
 
 /* An empty network with the stations of the car on their buses. bit_rates: bit/s per bus, see can_bus_init. */
@@ -57,8 +62,12 @@ void network_begin_slot(network *self, uint64_t start_us, uint64_t end_us);
 /* End the slot: close the account of every bus. */
 void network_end_slot(network *self);
 
-/* Queue frames on the buses that they name. station: enum can_station, stamped as their sender. */
+/* Queue frames on the buses that they name, or hold them back while `diverting`.
+ * station: enum can_station, stamped as their sender. */
 void network_submit(network *self, uint8_t station, const can_frame *frames, uint32_t count);
+
+/* Queue frames on the buses that they name, each at the station that is its sender, whether `diverting` or not. */
+void network_forward(network *self, const can_frame *frames, uint32_t count);
 
 /* Transmit one bus: into inboxes, watches and the log. */
 void network_transmit(network *self, uint8_t bus);

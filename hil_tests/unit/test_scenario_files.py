@@ -97,7 +97,7 @@ def test_another_fmu(folder: Path):
 @pytest.mark.parametrize(
     ("content", "key", "words"),
     [
-        (changed("colour", value="red"), "colour", "unknown key; allowed are description, finish"),
+        (changed("colour", value="red"), "colour", "unknown key; allowed are description, faults, finish"),
         (changed("seed", remove=True), "seed", "is missing"),
         (changed("seed", value="many"), "seed", "is 'many'; must be of type integer"),
         (changed("seed", value=-1), "seed", "is -1; must be at least 0"),
