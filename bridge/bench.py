@@ -6,13 +6,14 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, Self
 
 import can
 
 from bridge._native import ffi, lib
 from bridge.bus import Network
 from bridge.collector import collector_paused
+from bridge.deferred_recorder import DeferredRecorder
 from bridge.faults.fault import Fault
 from bridge.faults.injector import Injection, Injector
 from bridge.faults.plan import FaultPlan
@@ -104,7 +105,7 @@ class Bench:
         self.lost_in_outboxes = 0
         self._autonomy = autonomy
         self._taps = Taps(taps) if taps else None
-        self._recorder: Recorder | None = None
+        self._recorder: Recorder | DeferredRecorder | None = None
         self._injector: Injector | None = None
         self._states = ReportedStates(database)
         misc, report = self._states.misc_report, self._states.ct_report
@@ -121,7 +122,7 @@ class Bench:
         autonomy_factory: Callable[[Scenario, Road], Autonomy],
         folder: Path | None = None,
         taps: Mapping[str, can.BusABC] | None = None,
-    ) -> Bench:
+    ) -> Self:
         """Build the bench that a scenario describes.
 
         Parameters
@@ -151,7 +152,7 @@ class Bench:
             raise
         return bench
 
-    def __enter__(self) -> Bench:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(
@@ -209,6 +210,7 @@ class Bench:
         logged = network.logged()
         network.begin_tick(now_us, now_us + TICK_US)
 
+        # Faults begin and end.
         if self._injector is not None:
             self._injector.begin_tick(now_us)
 

@@ -20,6 +20,7 @@ from bridge.recorder import Recording
 from bridge.scenario import Scenario
 from bridge.surroundings import STANDSTILL_SPEED, Ending
 from dbc.codec import profile
+from dbc.errors import ConfigurationError
 from firmware.parameters import Offence, decode_results, load_operation
 from firmware.tables import load_parameters
 from tools.exit_status import ExitStatus
@@ -54,6 +55,8 @@ def run_realtime(scenario: Scenario, folder: Path, console: Console, options: Re
     RaceloopError
         When the run cannot start; nothing is left running or half-written.
     """
+    if scenario.faults:
+        raise ConfigurationError(scenario.path, "faults", "are for lock step; a run in real time injects none")
     profile(scenario.profile).check_sources()
     load_road(scenario, scenario.track)
     warning = _busy_cores(options.placement)

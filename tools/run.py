@@ -21,6 +21,7 @@ from bridge import bench as lockstep
 from bridge.bench import Bench
 from bridge.bus import BIT_RATES, CHANNELS
 from bridge.delays import MessageDelay
+from bridge.faults.reading import check_faults
 from bridge.interfaces import Road
 from bridge.recorder import Recording
 from bridge.scenario import Scenario, load_scenario
@@ -82,7 +83,11 @@ def chosen_scenario(name: str | None, profile_name: str | None) -> Scenario:
         When there is no such scenario or profile, or the file is wrong.
     """
     scenario = load_scenario(find_scenario(name))
-    return scenario if profile_name is None else replace(scenario, profile=profile(profile_name).profile)
+    if profile_name is None:
+        return scenario
+    database = profile(profile_name)
+    check_faults(scenario.path, scenario.faults, database)
+    return replace(scenario, profile=database.profile)
 
 
 def build_bench(scenario: Scenario, folder: Path | None = None) -> Bench:

@@ -99,7 +99,8 @@ def injected_summary(injections: Iterable[Injection]) -> list[dict[str, Any]]:
     """What was injected, in the order of the scenario file."""
     return [
         {
-            "fault": str(injection.fault),
+            "text": str(injection),
+            "fault": injection.fault.kind,
             "seed": injection.seed,
             "count": injection.count,
             "first_s": _seconds(injection.first_us),
@@ -177,7 +178,7 @@ def show_summary(summary: Mapping[str, Any], console: Console) -> None:
     for name, key in (("SSM", "ssm"), ("ct_state", "ct_state"), ("sys_state", "sys_state")):
         console.print(_states(name, summary[f"{key}_transitions"]))
     for injected in summary.get("injected", []):
-        console.print(f"[yellow]Injected[/yellow] {escape(_injected(injected))}")
+        console.print(f"[yellow]Injected[/yellow] {escape(injected['text'])}")
     for fault in summary["faults"]:
         cleared = "" if fault["cleared_s"] is None else f", cleared {fault['cleared_s']:.3f} s"
         console.print(f"[red]Fault[/red] {fault['time_s']:.3f} s: {fault['fault']} ({fault['reaction']}){cleared}")
@@ -192,15 +193,6 @@ def show_summary(summary: Mapping[str, Any], console: Console) -> None:
         show_real_time(real_time, console)
     console.print(f"frames.log SHA-256\n  {summary['frame_log_sha256']}")
     console.print(f"Files in {summary['folder']}: {', '.join(summary['files'])}", markup=False)
-
-
-def _injected(injected: Mapping[str, Any]) -> str:
-    """One injected fault in words."""
-    if injected["first_s"] is None:
-        return f"never: {injected['fault']}"
-    ended = "to the end" if injected["ended_s"] is None else f"ended {injected['ended_s']:.3f} s"
-    times = "once" if injected["count"] == 1 else f"{injected['count']} times"
-    return f"{injected['first_s']:.3f} s: {injected['fault']}; {times}, {ended}"
 
 
 def _show_driving(summary: Mapping[str, Any], console: Console) -> None:

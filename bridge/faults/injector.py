@@ -57,6 +57,14 @@ class Injection:
             plan.fault.selection(database) if isinstance(plan.fault, FrameFault) else None
         )
 
+    def __str__(self) -> str:
+        """What was injected, when and how often, for people."""
+        if self.first_us is None:
+            return f"never: {self.fault}"
+        ended = "to the end" if self.ended_us is None else f"ended {self.ended_us * 1e-6:.3f} s"
+        times = "once" if self.count == 1 else f"{self.count} times"
+        return f"{self.first_us * 1e-6:.3f} s: {self.fault}; {times}, {ended}"
+
     @property
     def fault(self) -> Fault:
         """What goes wrong."""

@@ -66,17 +66,26 @@ def read_faults(path: Path, entries: Sequence[Mapping[str, Any]], database: Code
     Raises
     ------
     ConfigurationError
-        When a fault does not fit the messages of the profile: names the entry and what is allowed.
+        See `check_faults`.
     """
-    plans = []
-    for place, entry in enumerate(entries):
-        plan = _plan(entry)
+    plans = tuple(_plan(entry) for entry in entries)
+    check_faults(path, plans, database)
+    return plans
+
+
+def check_faults(path: Path, plans: Sequence[FaultPlan], database: Codec) -> None:
+    """See whether the faults of a scenario file make sense with the messages of a profile.
+
+    Raises
+    ------
+    ConfigurationError
+        When not: names the entry and what is allowed.
+    """
+    for place, plan in enumerate(plans):
         try:
             plan.check(database)
         except CodecError as error:
             raise ConfigurationError(path, f"faults[{place}]", str(error)) from error
-        plans.append(plan)
-    return tuple(plans)
 
 
 def _plan(entry: Mapping[str, Any]) -> FaultPlan:

@@ -43,7 +43,7 @@ typedef struct network {
     uint32_t watch_count;
     uint32_t diverted_count;
     uint32_t diverted_lost;
-    bool diverting; /* what stations submit goes to `diverted`, not to the buses */
+    bool diverting;                 /* what stations submit goes to `diverted`, not to the buses */
     uint8_t members[CAN_BUS_COUNT]; /* bit n: station n sits on the bus */
     network_watch watches[NETWORK_WATCH_MAX];
     can_bus_model buses[CAN_BUS_COUNT];

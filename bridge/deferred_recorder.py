@@ -1,0 +1,58 @@
+"""Keeps a run in memory, and records it only when it proves to be worth it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bridge.recorder import Recorder, Recording
+
+
+class DeferredRecorder:
+    """As `Recorder`, but nothing is written, and no process started, before `finish`.
+
+    Parameters
+    ----------
+    folder : of the recording; made by `finish`.
+    names, units : of the plant's outputs.
+    profile : that CAN1 has.
+    """
+
+    def __init__(self, folder: Path, names: Sequence[str], units: Sequence[str], profile: str) -> None:
+        self._folder = folder
+        self._names = names
+        self._units = units
+        self._profile = profile
+        self.frames: list[NDArray[np.void]] = []
+        self._truth: list[tuple[int, NDArray[np.float64]]] = []
+
+    def add_frames(self, frames: NDArray[np.void]) -> None:
+        """Keep frames in order of time; array of `FRAME_DTYPE`."""
+        self.frames.append(frames)
+
+    def add_truth(self, time_us: int, outputs: NDArray[np.float64]) -> None:
+        """Keep the plant's outputs at one time."""
+        self._truth.append((time_us, outputs.copy()))
+
+    def finish(self) -> Recording:
+        """Write the recording.
+
+        Raises
+        ------
+        RaceloopError
+            When the files cannot be written.
+        """
+        recorder = Recorder(self._folder, self._names, self._units, self._profile)
+        for frames in self.frames:
+            recorder.add_frames(frames)
+        for time_us, outputs in self._truth:
+            recorder.add_truth(time_us, outputs)
+        return recorder.finish()
+
+    def abort(self) -> None:
+        """Forget the run."""
+        self.frames.clear()
+        self._truth.clear()

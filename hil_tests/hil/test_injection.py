@@ -1,0 +1,254 @@
+"""Faults end to end: from the injection to what bus, brakes and car do, with times."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from bridge.condition import Condition
+from bridge.faults import (
+    ActuatorStuck,
+    BrakeFade,
+    BusError,
+    Drop,
+    EngineStall,
+    Freeze,
+    GripLoss,
+    Hang,
+    Offset,
+    Onset,
+    ParameterAltered,
+    PowerLoss,
+    Reset,
+    SensorOutage,
+    Slow,
+)
+from bridge.observed_bench import MissedError, ObservedBench
+from bridge.operator import Verdict
+from bridge.wiring import NOMINAL_FRICTION, PLACE_OF_FRICTION
+from dbc.frames import Bus, Station
+from dbc.states import SsmState, SysState
+from tools.run import build_bench, chosen_scenario
+
+FULL_BRAKE_PA = 6.0e6
+FULL_BRAKE_KPA = 6000.0
+
+
+def driving(bench: ObservedBench, speed: float = 10.0) -> None:
+    bench.run_to(lambda: bench.truth.vx > speed)
+
+
+def full_brake(bench: ObservedBench) -> Callable[[], bool]:
+    return lambda: bool(bench.wiring.space_drive_out.brake_pressure_demand > 0.999 * FULL_BRAKE_PA)
+
+
+def test_a_run_with_faults_that_wait_or_change_nothing_is_the_run_without() -> None:
+    scenario = chosen_scenario("short_drive", None)
+    logs = []
+    for faults in (False, True):
+        with build_bench(scenario) as bench:
+            if faults:
+                bench.inject(Drop(message="steering_cmd"), onset=Onset(station_m=1e6, ssm_state=SsmState.NOMINAL))
+                for message, signal in (("steering_cmd", "steering_motor_ang_cmd"), ("imu_rates", "imu_yaw_rate")):
+                    bench.inject(Offset(message=message, signal=signal, value=0.0))
+                bench.inject(GripLoss(factor=0.5), onset=Onset(Condition(time_us=10**9)))
+            for _ in range(150):
+                bench.tick()
+            logs.append((bench.network.drain_log().tobytes(), bench.plant.outputs.tobytes()))
+            assert [injection.count for injection in bench.injections] == [0, 0, 0, 0][: len(bench.injections)]
+            assert bench.losses == 0
+    assert logs[0] == logs[1]
+
+
+def test_without_faults_nothing_is_diverted_and_nobody_is_asked() -> None:
+    with build_bench(chosen_scenario("short_drive", None)) as bench:
+        bench.tick()
+        assert bench.injections == []
+        assert not bench.network.handle.diverting
+        assert bench.network.handle.watch_count == 2
+
+
+@pytest.mark.expects_faults
+def test_raptor_brakes_when_the_obc_hangs(bench: ObservedBench) -> None:
+    driving(bench)
+    hang = bench.inject(Hang(station=Station.OBC))
+    took_us = bench.run_to(full_brake(bench), within_s=0.2)
+    assert 90_000 <= took_us <= 130_000
+    assert bench.wiring.raptor_out.throttle_demand == 0.0
+    assert bench.wait_for("diagnostic_report", 0.05).signals["adlink_hb_lost"] == 1.0
+    bench.run_to(lambda: bench.situation.standstill, within_s=5.0)
+    hang.cancel()
+    bench.run_for(1.0)
+    assert full_brake(bench)()
+    assert bench.situation.sys_state == SysState.EMERGENCY_SHUTDOWN
+    assert hang.count * 10_000 == hang.ended_us - hang.first_us  # type: ignore[operator]
+
+
+@pytest.mark.expects_faults
+def test_raptor_brakes_when_the_steering_counter_stands_still(bench: ObservedBench) -> None:
+    driving(bench)
+    stuck = bench.inject(Freeze(message="steering_cmd", signal="steering_motor_cmd_counter"))
+    first = bench.wait_for("steering_cmd", 0.02)
+    assert (
+        bench.wait_for("steering_cmd", 0.02).signals["steering_motor_cmd_counter"]
+        == (first.signals["steering_motor_cmd_counter"])
+    )
+    took_us = bench.run_to(full_brake(bench), within_s=0.3)
+    assert stuck.active
+    assert 90_000 <= took_us + 20_000 <= 130_000
+
+
+@pytest.mark.expects_faults(
+    "gnss_a_timeout",
+    "gnss_b_timeout",
+    "gnss_a_low_rate",
+    "gnss_b_low_rate",
+    "estimation_not_ok",
+    "estimation_failed",
+    "estimation_low_reliability",
+    "planning_low_reliability",
+    "estimate_bad",
+    "estimate_lost",
+)
+def test_ssm_degrades_and_stops_the_car_when_both_gnss_are_lost(bench: ObservedBench) -> None:
+    """A receiver is missed 150 ms after its last sample; the estimator bears two seconds, the SSM no more."""
+    driving(bench)
+    for sensor in ("gnss_a", "gnss_b"):
+        bench.inject(SensorOutage(sensor=sensor))
+    begin_us = bench.now_us
+    degraded = bench.wait_for("ssm_status", 0.17, lambda s: s["ssm_state"] == SsmState.DEGRADED)
+    assert degraded.time_us - begin_us >= 100_000
+    stopping = bench.wait_for("ssm_status", 2.1, lambda s: s["ssm_state"] == SsmState.FULL_BRAKE)
+    assert stopping.time_us - begin_us >= 2_000_000
+    bench.run_to(full_brake(bench), within_s=0.02)
+    bench.run_to(lambda: bench.situation.standstill, within_s=1.5)
+
+
+@pytest.mark.expects_faults
+def test_brakes_that_fade_stop_the_car_later(bench: ObservedBench) -> None:
+    """A tenth of the pressure; the grip of the tyres would give eight times what is left of the brakes."""
+    driving(bench)
+    fade = bench.inject(BrakeFade(factor=0.1))
+    bench.inject(PowerLoss(station=Station.OBC))
+    begin, begin_us = bench.truth.distance, bench.now_us
+    front = bench.plant.output_names.index("brake_pressure_front")
+    pressure = 0.0
+    while not bench.situation.standstill:
+        bench.tick()
+        pressure = max(pressure, float(bench.plant.outputs[front]))
+    assert bench.wiring.space_drive_out.brake_pressure_demand == pytest.approx(FULL_BRAKE_PA)  # they are asked for all
+    assert pressure == pytest.approx(0.1 * FULL_BRAKE_PA, rel=1e-3)
+    distance = bench.truth.distance - begin
+    assert 10.0**2 / (2 * 6.0) < distance < 30.0  # test_full_brake asks for 6 m/s2 of sound brakes
+    assert fade.count == (bench.now_us - begin_us) // 10_000
+
+
+def test_power_loss_of_the_raptor_lets_its_outputs_fall_off_and_a_reset_starts_it_anew(bench: ObservedBench) -> None:
+    bench.run_to(Condition(sys_state=SysState.SUBSYS_CON))
+    lost = bench.inject(PowerLoss(station=Station.RAPTOR), for_us=50_000)
+    bench.run_for(0.05)
+    assert (lost.active, lost.count) == (True, 5)
+    assert Station.RAPTOR in bench.silent
+    bench.run_for(0.02)
+    assert Station.RAPTOR not in bench.silent
+    assert bench.situation.sys_state == SysState.PWR_ON
+    bench.run_to(Condition(sys_state=SysState.SUBSYS_CON), within_s=2.0)
+    reset = bench.inject(Reset(station=Station.RAPTOR))
+    bench.run_to(Condition(sys_state=SysState.PWR_ON), within_s=0.02)
+    bench.run_to(Condition(sys_state=SysState.SUBSYS_CON), within_s=2.0)
+    assert reset.count == 1
+
+
+def test_a_hung_raptor_keeps_its_outputs_and_a_dead_one_does_not(bench: ObservedBench) -> None:
+    bench.run_for(0.1)
+    bench.wiring.raptor_out.ignition = True
+    hang = bench.inject(Hang(station=Station.RAPTOR))
+    bench.run_for(0.02)
+    assert bench.wiring.raptor_out.ignition
+    hang.cancel()
+    bench.inject(PowerLoss(station=Station.RAPTOR))
+    bench.run_for(0.01)
+    assert not bench.wiring.raptor_out.ignition
+
+
+def test_a_slow_obc_sends_every_third_tick(bench: ObservedBench) -> None:
+    bench.run_for(0.1)
+    slow = bench.inject(Slow(station=Station.OBC, every=3), for_us=90_000)
+    first = bench.network.logged()
+    bench.run_for(0.12)
+    log = bench.network.log_view(first)
+    ticks = np.unique(log["time_us"][(log["sender"] == Station.OBC) & (log["bus"] == Bus.CAN1)] // 10_000)
+    assert ticks.tolist() == [12, 15, 18, 19, 20, 21]
+    assert slow.count == 6
+    assert bench.losses == 0
+
+
+def test_an_obc_that_resets_under_way_brakes_and_stays(bench: ObservedBench) -> None:
+    """Its configuration is gone, and nobody sends it again: full brake from its first frame on."""
+    driving(bench)
+    reset = bench.inject(Reset(station=Station.OBC))
+    first = bench.wait_for("brake_pressure_cmd", 0.01)
+    assert first.signals["brake_pressure_cmd"] == FULL_BRAKE_KPA
+    bench.run_to(full_brake(bench), within_s=0.02)
+    bench.run_to(lambda: bench.situation.standstill, within_s=3.0)
+    bench.run_for(1.0)
+    assert full_brake(bench)()
+    assert reset.count == 1
+    assert bench.complaints() == []
+    assert bench.monitor.state("ssm") == "CONFIG_CHECK"
+
+
+@pytest.mark.expects_faults
+def test_actuator_stuck_engine_stall_and_grip(bench: ObservedBench) -> None:
+    driving(bench)
+    stuck = bench.inject(ActuatorStuck(actuator="steering", value=0.2), for_us=50_000)
+    grip = bench.inject(GripLoss(factor=0.4), for_us=50_000)
+    bench.tick()
+    assert bench.plant.inputs[0] == 0.2
+    assert bench.plant.inputs[PLACE_OF_FRICTION] == pytest.approx(0.4)
+    bench.run_for(0.05)
+    assert (stuck.count, grip.count) == (5, 5)
+    assert bench.plant.inputs[0] == pytest.approx(bench.wiring.space_drive_out.steer_motor_demand)
+    assert bench.plant.inputs[PLACE_OF_FRICTION] == NOMINAL_FRICTION
+    running = bench.plant.output_names.index("engine_running")
+    assert bench.plant.outputs[running] == 1.0
+    bench.inject(EngineStall())
+    bench.run_to(lambda: bench.plant.outputs[running] == 0.0, within_s=0.05)
+
+
+def test_altered_parameter_is_noticed_by_the_operator(bench: ObservedBench) -> None:
+    bench.inject(ParameterAltered(name="max_speed", value=70.0))
+    bench.run_for(2.0)
+    assert bench.operator.verdict is Verdict.REJECTED
+    assert not bench.operator.launch_wanted
+
+
+@pytest.mark.expects_faults("gnss_a_timeout", "gnss_a_low_rate")
+@pytest.mark.expects_bus_errors
+def test_what_is_not_in_order_is_told(bench: ObservedBench) -> None:
+    bench.run_for(1.0)
+    assert bench.complaints() == []
+    assert bench.complaints(faults=["gnss_b_timeout"]) == ["fault gnss_b_timeout did not happen"]
+    bench.inject(SensorOutage(sensor="gnss_a"))
+    bench.inject(BusError(message="steering_cmd", errors=2))
+    bench.run_for(0.6)
+    complaints = bench.complaints(faults=["gnss_a_low_rate"])
+    assert [line.split(" at ")[0] for line in complaints] == [
+        "unexpected fault gnss_a_timeout",
+        "2 error frames on CAN1",
+    ]
+    assert bench.complaints(faults=None) == complaints[1:]
+    assert bench.complaints(faults=None, bus_errors=True) == []
+
+
+def test_what_comes_too_late_is_missed(bench: ObservedBench) -> None:
+    with pytest.raises(MissedError, match=r"did not hold within 0\.1 s, from 0\.00 s on"):
+        bench.run_to(Condition(sys_state=SysState.DRIVING), within_s=0.1)
+    assert bench.now_us == 100_000
+    with pytest.raises(MissedError, match=r"no such misc_report within 0\.05 s, from 0\.10 s on; the last one held"):
+        bench.wait_for("misc_report", 0.05, lambda signals: signals["sys_state"] == SysState.DRIVING)
+    first = bench.wait_for("misc_report", 0.05)
+    assert 150_000 < first.time_us < 160_000
+    assert first.signals["sys_state"] == SysState.PWR_ON
