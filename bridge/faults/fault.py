@@ -77,6 +77,10 @@ class FrameFault(Fault):
         """Frames that go to the bus instead of this one; exactly the frame itself when it is not befallen."""
         raise NotImplementedError
 
+    def release(self, memory: Memory) -> list[Frame]:
+        """Frames that `alter` has held back and that go to the bus when the fault ends."""
+        return []
+
     @property
     def late_ticks(self) -> int:
         """Ticks by which what `alter` returns comes late."""

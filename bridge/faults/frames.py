@@ -122,6 +122,25 @@ class Replay(_StreamFault):
 
 
 @dataclass(frozen=True, kw_only=True)
+class Reorder(_StreamFault):
+    """Every frame waits for the next one of its message and goes out behind it."""
+
+    kind = "reorder"
+
+    def alter(self, frame: Frame, memory: Memory) -> list[Frame]:
+        waiting = memory.kept.pop((frame.bus, frame.id), None)
+        if waiting is not None:
+            return [frame, waiting]
+        memory.kept[frame.bus, frame.id] = frame
+        return []
+
+    def release(self, memory: Memory) -> list[Frame]:
+        waiting = list(memory.kept.values())
+        memory.kept.clear()
+        return waiting
+
+
+@dataclass(frozen=True, kw_only=True)
 class WrongLength(_StreamFault):
     """Frames have another number of data bytes; bytes that are added are 0."""
 
@@ -155,6 +174,28 @@ class Silent(FrameFault):
 
     def alter(self, frame: Frame, memory: Memory) -> list[Frame]:
         return []
+
+
+@dataclass(frozen=True, kw_only=True)
+class Deaf(BenchFault):
+    """A station works and sends, but no frame gets to it; together with `Silent` it is cut off."""
+
+    kind = "deaf"
+    station: Station
+
+    def begin(self, bench: Bench, memory: Memory) -> None:
+        members = bench.network.handle.members
+        for bus in Bus:
+            memory.kept[bus] = members[bus] & 1 << self.station
+            members[bus] &= ~memory.kept[bus]
+        bench.network.take(self.station)
+
+    def tick(self, bench: Bench, memory: Memory) -> int:
+        return 1
+
+    def end(self, bench: Bench, memory: Memory) -> None:
+        for bus, member in memory.kept.items():
+            bench.network.handle.members[bus] |= member
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -117,8 +117,12 @@ class Injection:
         return self._onset()
 
     def _end(self, now_us: int, for_good: bool) -> None:
-        if self.active and isinstance(self.plan.fault, BenchFault):
-            self.plan.fault.end(self._bench, self._memory)
+        fault = self.plan.fault
+        if self.active and isinstance(fault, BenchFault):
+            fault.end(self._bench, self._memory)
+        elif self.active and isinstance(fault, FrameFault):
+            for frame in fault.release(self._memory):
+                self._bench.network.forward(frame.pack())
         self.active = False
         if for_good:
             self.done = True

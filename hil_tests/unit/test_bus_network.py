@@ -220,3 +220,52 @@ def test_two_stations_with_one_identifier_go_off_the_bus_and_come_back():
     off = [f for f in heard if f.id & lib.CAN_BUS_ERROR_OFF]
     assert back[0].time_us == pytest.approx(off[0].time_us + 100_000 + 128 * 11 * 2, abs=10)
     assert network.statistics()[Bus.CAN1].lost == 1  # submitted while it was off
+
+
+def test_diverted_frames_wait_for_whoever_changes_them_and_keep_their_sender():
+    network = Network()
+    seen = []
+
+    def alter(frames: bytes) -> bytes:
+        seen.append(frames)
+        return frames[24:] + frames[:24]
+
+    network.divert(alter)
+    frames = frame(Bus.CAN1, 7) + frame(Bus.CAN_A, 8) + frame(Bus.CAN1, 7, b"2")
+    one_tick(network, Station.OBC, frames, Bus.CAN_A, Bus.CAN1)
+    network.divert(None)
+    one_tick(network, Station.RAPTOR, frame(Bus.CAN1, 9), Bus.CAN1, tick=1)
+    assert len(seen) == 1
+    assert [f.sender for f in iterate(seen[0])] == [Station.OBC] * 3
+    received = [(f.id, f.sender, f.data[:1]) for f in iterate(network.take(Station.RAPTOR))]
+    assert received == [(7, Station.OBC, b"2"), (7, Station.OBC, b"\0")]
+    assert [(f.id, f.sender) for f in iterate(network.take(Station.OBC))] == [(9, Station.RAPTOR)]
+    assert network.losses() == 0
+
+
+def test_diverted_frames_that_find_no_room_are_counted():
+    network = Network()
+    network.divert(lambda _frames: b"")
+    one_tick(network, Station.OBC, frame(Bus.CAN1, 7) * (lib.NETWORK_DIVERTED_MAX + 3), Bus.CAN1)
+    assert network.losses() == 3
+    assert network.logged() == 0
+
+
+def test_what_is_left_of_planned_errors_is_forgotten():
+    network = Network()
+    model = ffi.addressof(network.handle.buses, Bus.CAN1)
+    nobody = lib.CAN_BUS_NOBODY
+    for identifier, sender, count in ((7, Station.OBC, 5), (8, Station.OBC, 1), (7, Station.RAPTOR, 2)):
+        planned = {"id": identifier, "mask": 0x7FF, "count": count, "bit": 40, "sender": sender, "receiver": nobody}
+        assert lib.can_bus_disturb(model, ffi.new("can_bus_disturbance *", planned))
+    one_tick(network, Station.OBC, frame(Bus.CAN1, 9), Bus.CAN1)
+    assert lib.can_bus_calm(model, 7, Station.OBC) == 5
+    assert lib.can_bus_calm(model, 7, Station.OBC) == 0
+    assert [(model.disturbances[place].id, model.disturbances[place].sender) for place in range(2)] == [
+        (8, Station.OBC),
+        (7, Station.RAPTOR),
+    ]
+    assert model.disturbance_count == 2
+    network.take(Station.RAPTOR)
+    one_tick(network, Station.OBC, frame(Bus.CAN1, 7), Bus.CAN1, tick=1)
+    assert [f.id for f in iterate(network.take(Station.RAPTOR))] == [7]

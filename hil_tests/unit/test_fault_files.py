@@ -41,6 +41,8 @@ EXAMPLES: dict[str, dict[str, Any]] = {
     "duplicate": STEERING,
     "corrupt": STEERING | {"random_bits": 1},
     "replay": STEERING | {"age": 5},
+    "reorder": STEERING,
+    "deaf": {"station": "RAPTOR"},
     "wrong_length": STEERING | {"length": 1},
     "wrong_identifier": STEERING | {"identifier": 1},
     "silent": {"station": "OBC"},

@@ -16,6 +16,7 @@ from bridge.faults import (
     Babble,
     BusError,
     Corrupt,
+    Deaf,
     Delay,
     Drop,
     Duplicate,
@@ -29,6 +30,7 @@ from bridge.faults import (
     Offset,
     Onset,
     ParameterAltered,
+    Reorder,
     Replay,
     Scale,
     SensorFrozen,
@@ -246,6 +248,35 @@ def test_replay() -> None:
     before, after, injection = during(Replay(message="steering_cmd", age=3), steering)
     assert [row[6] for row in after] == [row[6] for row in before[:3] + before[:-3]]
     assert (injection.count, injection.first_us) == (END - BEGIN - 3, (BEGIN + 3) * TICK_US)
+
+
+def test_reorder_swaps_neighbours_and_keeps_none_back() -> None:
+    rig = Rig()
+    rig.inject(Reorder(message="steering_cmd"), **DURING)
+    rig.run()
+    log = [(row[0], steering.decode(row[6])[1]) for row in rig.frames() if of(steering)(row)]
+    swapped = [(6, 6), (6, 5), (8, 8), (8, 7), (10, 10), (10, 9), (12, 11)]  # the odd one when the fault ends
+    assert log == [(t, t) for t in range(5)] + swapped + [(t, t) for t in range(12, TICKS)]
+
+
+def test_a_deaf_station_hears_nothing_and_all_others_what_they_heard() -> None:
+    heard: dict[bool, dict[Station, list[bytes]]] = {}
+    for deaf in (False, True):
+        rig = Rig()
+        if deaf:
+            rig.inject(Deaf(station=Station.OBC), **DURING)
+        heard[deaf] = {station: [] for station in Station}
+        for _ in range(TICKS):
+            rig.tick()
+            for station in Station:
+                heard[deaf][station].append(rig.network.take(station))
+        assert rig.frames() == CLEAN
+    for station in Station:
+        expected = list(heard[False][station])
+        if station is Station.OBC:
+            assert all(expected[BEGIN:END])
+            expected[BEGIN:END] = [b""] * (END - BEGIN)
+        assert heard[True][station] == expected
 
 
 def test_wrong_length() -> None:
