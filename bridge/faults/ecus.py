@@ -31,12 +31,14 @@ class Reset(_EcuFault):
     """The ECU starts anew from its power-on state: once, without a pause."""
 
     kind = "reset"
+    ends_by_itself = True
 
     def tick(self, bench: Bench, memory: Memory) -> int:
-        if memory.number:
-            return 0
         bench.power_on(self.station)
         return 1
+
+    def is_over(self, memory: Memory) -> bool:
+        return True
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -47,9 +47,11 @@ class Fault:
     Attributes
     ----------
     kind : name of the fault in files.
+    ends_by_itself : it needs no duration to come to an end.
     """
 
     kind: ClassVar[str] = ""
+    ends_by_itself: ClassVar[bool] = False
 
     def __str__(self) -> str:
         given = [f"{item.name}={_show(getattr(self, item.name))}" for item in fields(self)]
@@ -106,6 +108,10 @@ class BenchFault(Fault):
     def tick(self, bench: Bench, memory: Memory) -> int:
         """Every tick from the first on; returns how often it was injected in it."""
         raise NotImplementedError
+
+    def is_over(self, memory: Memory) -> bool:
+        """It has ended by itself; asked after each tick."""
+        return False
 
     def end(self, bench: Bench, memory: Memory) -> None:
         """The fault is over, before anybody acts in this tick."""

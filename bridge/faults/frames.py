@@ -228,6 +228,7 @@ class BusError(BenchFault):
     """
 
     kind = "bus_error"
+    ends_by_itself = True
     message: str
     errors: int = parameter(default=0xFFFF_FFFF, minimum=1, maximum=0xFFFF_FFFF)
     bit: int = parameter(default=40, minimum=1, maximum=130)
@@ -256,6 +257,9 @@ class BusError(BenchFault):
         destroyed: int = memory.kept["left"] - left
         memory.kept["left"] = left
         return destroyed
+
+    def is_over(self, memory: Memory) -> bool:
+        return bool(memory.kept["left"] == 0)
 
     def end(self, bench: Bench, memory: Memory) -> None:
         message, model = self._place(bench, memory)

@@ -91,6 +91,8 @@ class Injection:
         if self.active and isinstance(fault, BenchFault):
             self._note(now_us, fault.tick(self._bench, self._memory))
             self._memory.number += 1
+            if fault.is_over(self._memory):
+                self._end(now_us, for_good=self._begun >= plan.times)
 
     def alter(self, frame: Frame, now_us: int) -> list[Frame]:
         """What goes to the bus instead of a frame that is selected."""

@@ -66,3 +66,5 @@ class FaultPlan:
             raise CodecError(f"{self.fault.kind} befalls no single frames; it lasts for_s or for good")
         if self.times > 1 and not self.every_us:
             raise CodecError("a fault that begins several times needs every_s")
+        if self.times > 1 and self.for_us is None and self.for_frames is None and not self.fault.ends_by_itself:
+            raise CodecError("a fault that begins several times needs for_s or for_frames")

@@ -158,7 +158,7 @@ def test_power_loss_of_the_raptor_lets_its_outputs_fall_off_and_a_reset_starts_i
     reset = bench.inject(Reset(station=Station.RAPTOR))
     bench.run_to(Condition(sys_state=SysState.PWR_ON), within_s=0.02)
     bench.run_to(Condition(sys_state=SysState.SUBSYS_CON), within_s=2.0)
-    assert reset.count == 1
+    assert (reset.count, reset.done, reset.ended_us) == (1, True, reset.first_us)
 
 
 def test_a_hung_raptor_keeps_its_outputs_and_a_dead_one_does_not(bench: ObservedBench) -> None:

@@ -311,7 +311,7 @@ def test_bus_error_destroys_frames_and_the_sender_repeats_them() -> None:
     errors = [row for row in rig.frames() if row[4] & Flag.ERROR]
     assert [row[:2] for row in errors] == [(BEGIN, Bus.CAN1)] * 3
     assert [row for row in rig.frames() if of(steering)(row)] == [row for row in CLEAN if of(steering)(row)]
-    assert injection.count == 3
+    assert (injection.count, injection.done, injection.ended_us) == (3, True, (BEGIN + 1) * TICK_US)
 
 
 def test_bus_error_without_end_takes_the_sender_off_the_bus_until_it_is_cancelled() -> None:
@@ -540,6 +540,7 @@ def test_two_faults_work_one_after_the_other() -> None:
         (SensorOutage(sensor="gnss_c"), {}, "there are gnss_a, gnss_b, imu"),
         (ParameterAltered(name="max_sped", value=1.0), {}, "the nearest is 'max_speed'"),
         (Drop(message="steering_cmd"), {"times": 2}, "needs every_s"),
+        (Drop(message="steering_cmd"), {"times": 2, "every_us": 9}, "needs for_s or for_frames"),
         (Babble(station=Station.OBC, bus=Bus.CAN1), {"for_frames": 2}, "befalls no single frames"),
     ],
 )
