@@ -65,7 +65,7 @@ def test_installed_command_has_no_traceback(tmp_path: Path) -> None:
         (b"name: a\nname: b\n", ["line 2", "'name' is given twice"]),
         (b"name: \xff\n", ["is not UTF-8 text"]),
         (b"a: !!python/object/apply:os.system [ls]\n", ["line 1", "could not determine a constructor"]),
-        (b'"two\\nlines": 1\n', ["two lines: unknown key; allowed are description, finish, name"]),
+        (b'"two\\nlines": 1\n', ["two lines: unknown key; allowed are description, faults, finish, name"]),
     ],
     ids=["empty", "list", "text", "broken yaml", "duplicate key", "not utf-8", "code", "line break in key"],
 )
@@ -90,7 +90,7 @@ def test_unreadable_scenario(scenario: Path, refused: Callable[..., None]) -> No
     ("old", "new", "key", "allowed"),
     [
         ("seed: 20221103", "seed: many", "seed", "is 'many'; must be of type integer"),
-        ("seed: 20221103", "sed: 1", "sed", "unknown key; allowed are description, finish"),
+        ("seed: 20221103", "sed: 1", "sed", "unknown key; allowed are description, faults, finish"),
         ("seed: 20221103\n", "", "seed", "is missing"),
         ("track: tracks/lvms.yaml", "track: tracks/monza.yaml", "track", "no such file: tracks/monza.yaml"),
         ("vehicles/av21.yaml", "vehicles/av99.yaml", "vehicle", "no such file: vehicles/av99.yaml"),
