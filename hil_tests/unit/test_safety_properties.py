@@ -25,8 +25,8 @@ ROAD = load_road(SCENARIO, SCENARIO.track)
 MS = 1000
 S = 1_000_000
 
-#: In the recording the car stands with the brake held, is launched, drives, and brakes.
-STANDS_US, DRIVES_US = 3 * S, 10 * S
+#: In the recording the car stands with the brake held, is launched, and drives.
+STANDS_US, DRIVES_US, END_US = 3 * S, 10 * S, 11_500 * MS
 
 
 @dataclass
@@ -110,7 +110,7 @@ def drive() -> Recording:
             add_truth(time_us, outputs)
 
         bench.safety.update, bench.safety.add_truth = keep_frames, keep_truth  # type: ignore[method-assign]
-        assert bench.run()
+        assert not bench.run(time_limit_us=END_US)  # it goes on driving
         bench.finish()
         assert bench.safety.violations == []
         assert bench.safety.frames == sum(map(len, frames))
@@ -537,10 +537,10 @@ def planted(log: Recording) -> Recording:
     """A recording with something wrong for many properties."""
     log.put("brake_pressure_cmd", "brake_pressure_cmd", 5000.0, log.places("brake_pressure_cmd", 300 * MS, 400 * MS))
     log.put("steering_cmd", "steering_motor_ang_cmd", 240.0, log.places("steering_cmd", DRIVES_US)[:1])
-    log.put("misc_report", "sys_state", SysState.EMERGENCY_SHUTDOWN, log.places("misc_report", 12 * S, 12 * S + S))
+    log.put("misc_report", "sys_state", SysState.EMERGENCY_SHUTDOWN, log.places("misc_report", 10_500 * MS, 11 * S))
     log.put_truth("vx", 1.0, STANDS_US, STANDS_US + 100 * MS)
     log.put_truth("brake_pressure_front", 0.0, STANDS_US, STANDS_US + 100 * MS)
-    log.put_truth("y", 1.0e4, 13 * S, 13 * S + 100 * MS)
+    log.put_truth("y", 1.0e4, 11 * S, 11_100 * MS)
     log.drop(log.places("ct_report", 9 * S, 9 * S + 700 * MS))
     log.frames["sender"][log.places("ssm_status", 8 * S)[:3]] = Station.AUTONOMY
     return log
