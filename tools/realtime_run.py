@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bridge.bus import CHANNELS
+from bridge.plant import REQUIRED_OUTPUTS
 from bridge.realtime.cycle_log import cycles_written
 from bridge.realtime.link import CanLink
 from bridge.realtime.observer import Observer
@@ -306,7 +307,7 @@ class RealTimeRun:
     scenario, options : as given.
     parts : all parts by name, those left out too.
     links : of the observer, one per bus, once the run has started.
-    supervisor, observer, safety : of the run; observer and safety monitor are there once the run has started.
+    supervisor, safety, observer : of the run; the observer is there once the run has started.
     shared : the processes' files; gone when the run is left.
     speed_mps : newest true speed; None without a plant.
     plant_report : what the plant says about the run when it ends; empty before, or when it did not come to that.
@@ -318,7 +319,6 @@ class RealTimeRun:
     """
 
     observer: Observer
-    safety: SafetyMonitor
 
     def __init__(
         self,
@@ -335,6 +335,13 @@ class RealTimeRun:
         try:
             self.scenario = scenario
             self.options = options
+            # Now: when it starts, power-on is near, and reading files takes its time.
+            self.safety = SafetyMonitor(
+                SafetyLimits.of_scenario(scenario),
+                codec.profile(scenario.profile),
+                () if "plant" in options.without else REQUIRED_OUTPUTS,
+                load_road(scenario, scenario.track).boundaries(),
+            )
             self.parts = make_parts(scenario, options, self.shared)
             self._wires = self._exits.enter_context(WiredIo(self.shared.wires, create=True))
             present = [part for name, part in self.parts.items() if name not in options.without]
@@ -470,12 +477,6 @@ class RealTimeRun:
             names, units = ((), ()) if self._truth is None else (self._truth.names, self._truth.units)
             self._recorder = Recorder(folder, names, units, self.scenario.profile, keep=True)
         database = codec.profile(self.scenario.profile)
-        self.safety = SafetyMonitor(
-            SafetyLimits.of_scenario(self.scenario),
-            database,
-            () if self._truth is None else self._truth.names,
-            load_road(self.scenario, self.scenario.track).boundaries(),
-        )
         self.observer = Observer(self.links, self._take_frames, self.options.slower, database)
 
     def _take_frames(self, frames: NDArray[np.void]) -> None:
@@ -491,7 +492,7 @@ class RealTimeRun:
             return
         self.speed_mps = float(rows[-1, 1 + self._truth.names.index("vx")])
         for row in rows:
-            self.safety.add_truth(int(row[0]), row[1:])
+            self.safety.add_truth(int(row[0]), row[1 : 1 + len(REQUIRED_OUTPUTS)])
             if self._recorder is not None:
                 self._recorder.add_truth(int(row[0]), row[1:])
         if self._recorder is not None:
