@@ -108,6 +108,16 @@ coverage: .venv-coverage/.built ## Run the unit tests on instrumented firmware; 
 mutate: build ## Plant small faults in the safety-relevant C, one at a time, and count how many the unit tests notice
 	$(BIN)/python -m tools.mutation
 
+FUZZ_SECONDS ?= 60
+
+.PHONY: fuzz
+fuzz: build ## Run the fuzz targets (clang, ASan, UBSan) for FUZZ_SECONDS=60 each
+	PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/python hil_tests/fuzz/run.py --seconds $(FUZZ_SECONDS)
+
+.PHONY: fuzz-short
+fuzz-short: build ## Run the fuzz targets on the same few hundred inputs every time
+	PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/python hil_tests/fuzz/run.py --runs 500
+
 .PHONY: clean
 clean: ## Remove everything that was built
 	rm -rf build .venv .venv-coverage .mypy_cache .ruff_cache out

@@ -41,10 +41,18 @@ typedef struct bytes {
     bool short_of;
 } bytes;
 
+/* Whether there are `size` bytes from `offset` on. */
+static bool holds(bytes *self, uint32_t offset, uint32_t size)
+{
+    const bool there = offset + size <= self->length;
+    self->short_of = self->short_of || !there;
+    return there;
+}
+
+/* A number of up to 4 bytes. */
 static uint32_t number(bytes *self, uint32_t offset, uint32_t size)
 {
-    if (offset + size > self->length) {
-        self->short_of = true;
+    if (!holds(self, offset, size)) {
         return 0U;
     }
     uint32_t value = 0U;
@@ -90,7 +98,7 @@ static uint16_t take_message(bytes *object, uint32_t content, can_frame *frame)
         frame->flags = (uint8_t)(frame->flags | CAN_FLAG_REMOTE);
     }
     frame->dlc = (uint8_t)number(object, content + 3U, 1U);
-    (void)number(object, content + 8U, (uint32_t)CAN_DATA_MAX);
+    (void)holds(object, content + 8U, (uint32_t)CAN_DATA_MAX);
     set_data(frame, object, content + 8U, frame->dlc);
     return (uint16_t)number(object, content, 2U);
 }

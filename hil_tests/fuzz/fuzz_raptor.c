@@ -1,0 +1,83 @@
+/* Frames of CAN1 and CAN3 and wired signals -> Raptor. */
+#include "hil_tests/fuzz/ecu_episode.h"
+
+#include <math.h>
+
+#include "raptor/raptor.h"
+
+static raptor controller;
+static raptor_wired_in wired;
+static raptor_wired_out drive;
+static uint8_t latched;
+
+static void init(void)
+{
+    raptor_init(&controller, NULL);
+}
+
+static void tick(uint64_t now_us, const can_frame *in, uint32_t count, can_outbox *out)
+{
+    raptor_tick(&controller, now_us, &wired, in, count, &drive, out);
+}
+
+static uint8_t terminal_state(void)
+{
+    const uint8_t state = controller.sys.state;
+    return state == RAPTOR_SYS_PWR_OFF || state == RAPTOR_SYS_EMERGENCY_SHUTDOWN ? state : 0U;
+}
+
+static void begin(void)
+{
+    latched = terminal_state();
+}
+
+static void check(const can_outbox *sent)
+{
+    const raptor_demand *demand = &controller.demand;
+    const float full = 6.0e6f;
+    FUZZ_CHECK(sent->dropped == 0U);
+    for (uint32_t i = 0; i < sent->count; i++) {
+        const codec_message *row = codec_find(sent->frames[i].bus, sent->frames[i].id, false);
+        FUZZ_CHECK(row != NULL && row->sender == CAN_STATION_RAPTOR && row->dlc == sent->frames[i].dlc);
+    }
+    FUZZ_CHECK(demand->brake >= 0.0f && demand->brake <= full);
+    FUZZ_CHECK(fabsf(demand->steer) <= 4.1892f);
+    FUZZ_CHECK(drive.throttle_demand >= 0.0f && drive.throttle_demand <= 1.0f);
+    FUZZ_CHECK(drive.gear_demand <= 6U);
+    FUZZ_CHECK(isfinite(controller.speed));
+    FUZZ_CHECK(latched == 0U || controller.sys.state == latched);
+    latched = terminal_state();
+    if (controller.commands.faults != 0U || latched != 0U) {
+        FUZZ_CHECK(demand->brake == full && drive.throttle_demand == 0.0f);
+    }
+    FUZZ_CHECK(drive.throttle_demand == 0.0f || controller.sys.state == RAPTOR_SYS_DRIVING);
+    FUZZ_CHECK(drive.throttle_demand == 0.0f || demand->brake <= controller.config.pedal_conflict_brake);
+}
+
+static const ecu_episode ECU = {
+    .recording = FUZZ_RECORDINGS "/raptor.bin",
+    .state = &controller,
+    .state_size = sizeof controller,
+    .wired = &wired,
+    .wired_size = sizeof wired,
+    .wired_floats = offsetof(raptor_wired_in, gear) / sizeof(float),
+    .init = init,
+    .tick = tick,
+    .begin = begin,
+    .check = check,
+};
+
+int LLVMFuzzerInitialize(int *argc, char ***argv)
+{
+    (void)argc;
+    (void)argv;
+    ecu_episode_load(&ECU);
+    FUZZ_CHECK(controller.sys.state == RAPTOR_SYS_DRIVING); /* the recording reaches what it is for */
+    return 0;
+}
+
+int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
+{
+    ecu_episode_run(&ECU, data, size);
+    return 0;
+}

@@ -1,0 +1,73 @@
+/* Frames of CAN3 and wired signals -> Space Drive. */
+#include "hil_tests/fuzz/ecu_episode.h"
+
+#include <math.h>
+
+#include "space_drive/space_drive.h"
+
+static space_drive actuator;
+static space_drive_wired_in wired;
+static space_drive_wired_out drive;
+static uint8_t emergency;
+static bool shutdown;
+
+static void init(void)
+{
+    space_drive_init(&actuator, NULL);
+}
+
+static void tick(uint64_t now_us, const can_frame *in, uint32_t count, can_outbox *out)
+{
+    space_drive_tick(&actuator, now_us, &wired, in, count, &drive, out);
+}
+
+static void begin(void)
+{
+    emergency = actuator.emergency;
+    shutdown = actuator.shutdown;
+}
+
+static void check(const can_outbox *sent)
+{
+    FUZZ_CHECK(sent->dropped == 0U);
+    for (uint32_t i = 0; i < sent->count; i++) {
+        const codec_message *row = codec_find(sent->frames[i].bus, sent->frames[i].id, false);
+        FUZZ_CHECK(row != NULL && row->sender == CAN_STATION_SPACE_DRIVE && row->dlc == sent->frames[i].dlc);
+    }
+    FUZZ_CHECK(drive.brake_pressure_demand >= 0.0f && drive.brake_pressure_demand <= SPACE_DRIVE_BRAKE_STOP_PA);
+    FUZZ_CHECK(fabsf(drive.steer_motor_demand) <= 4.37f); /* where the sensors end */
+    FUZZ_CHECK((actuator.emergency & emergency) == emergency);
+    FUZZ_CHECK(actuator.shutdown || !shutdown);
+    begin();
+    if (emergency != 0U || shutdown) {
+        FUZZ_CHECK(drive.brake_pressure_demand == SPACE_DRIVE_BRAKE_STOP_PA);
+    }
+}
+
+static const ecu_episode ECU = {
+    .recording = FUZZ_RECORDINGS "/space_drive.bin",
+    .state = &actuator,
+    .state_size = sizeof actuator,
+    .wired = &wired,
+    .wired_size = sizeof wired,
+    .wired_floats = sizeof wired / sizeof(float),
+    .init = init,
+    .tick = tick,
+    .begin = begin,
+    .check = check,
+};
+
+int LLVMFuzzerInitialize(int *argc, char ***argv)
+{
+    (void)argc;
+    (void)argv;
+    ecu_episode_load(&ECU);
+    FUZZ_CHECK(actuator.emergency == 0U && drive.brake_pressure_demand < SPACE_DRIVE_BRAKE_STOP_PA);
+    return 0;
+}
+
+int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
+{
+    ecu_episode_run(&ECU, data, size);
+    return 0;
+}
