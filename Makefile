@@ -66,7 +66,7 @@ jitter: build ## Measure the onboard computer's cycle, idle and under load, besi
 	$(BIN)/raceloop jitter --seconds 60 --load all --out '$(OUT)/jitter'
 
 .PHONY: check
-check: lint types warnings coverage ## Format, lint, types, warnings as errors with each compiler present, unit tests with the coverage gate
+check: lint types warnings coverage fuzz-short ## Format, lint, types, warnings as errors with each compiler present, unit tests with the coverage gate, a short fuzz
 
 .PHONY: format
 format: build ## Format all sources in place
@@ -118,6 +118,32 @@ fuzz: build ## Run the fuzz targets (clang, ASan, UBSan) for FUZZ_SECONDS=60 eac
 fuzz-short: build ## Run the fuzz targets on the same few hundred inputs every time
 	PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/python hil_tests/fuzz/run.py --runs 500
 
+.PHONY: prove
+prove: build ## Prove properties of the firmware with CBMC, and that each proof fails on a broken copy
+	$(BIN)/python firmware/proofs/prove.py
+
+.PHONY: misra
+misra: build ## Check the C with cppcheck and MISRA C:2012; every finding needs its reason in firmware/misra.txt
+	$(BIN)/python -m firmware.misra
+
+# A third environment, as for coverage: gcc's AddressSanitizer and UndefinedBehaviorSanitizer in every C file.
+SANITIZE := -O1 -g -fno-omit-frame-pointer -fsanitize=address,undefined,float-cast-overflow -fno-sanitize-recover=all
+
+.venv-sanitize/.built: $(NATIVE) $(VENV)/.dependencies
+	$(PYTHON) -m venv .venv-sanitize
+	$(BIN)/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))' > "$$(.venv-sanitize/bin/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))')/dependencies.pth"
+	PATH="$(CURDIR)/$(BIN):$$PATH" CC=gcc .venv-sanitize/bin/python -m pip install --quiet --disable-pip-version-check --no-build-isolation --no-deps --editable . \
+	  '--config-settings=cmake.define.CMAKE_C_FLAGS=$(SANITIZE)' --config-settings=cmake.build-type=Debug --config-settings=build-dir=build/sanitize
+	@touch $@
+
+SANITIZE_TESTS ?= hil_tests/unit hil_tests/contract
+
+.PHONY: sanitize
+sanitize: .venv-sanitize/.built ## Run unit and contract tests (SANITIZE_TESTS) on C built with ASan and UBSan
+	tools/check_sanitized.sh build/sanitize
+	LD_PRELOAD="$$(gcc -print-file-name=libasan.so):$$(gcc -print-file-name=libubsan.so)" ASAN_OPTIONS=detect_leaks=0 \
+	  UBSAN_OPTIONS=print_stacktrace=1 .venv-sanitize/bin/python -m pytest -q $(WORKERS) -m 'not realtime and not machine' $(SANITIZE_TESTS)
+
 .PHONY: clean
 clean: ## Remove everything that was built
-	rm -rf build .venv .venv-coverage .mypy_cache .ruff_cache out
+	rm -rf build .venv .venv-coverage .venv-sanitize .mypy_cache .ruff_cache out

@@ -17,7 +17,8 @@ typedef struct voter_ballot {
 /* Vote.
  *
  * values: any unit; those not usable are never read, so they may be NaN. usable: which channels take part; a
- * usable value is finite. tolerance: largest distance from the median, or between two; same unit, not negative.
+ * usable value is of at most half of FLT_MAX. tolerance: largest distance from the median, or between two; same unit,
+ * not negative.
  * Of two channels that disagree both deviate: nobody can say which one is right.
  */
 voter_ballot voter_vote(const float values[VOTER_CHANNELS], const bool usable[VOTER_CHANNELS], float tolerance);
