@@ -8,12 +8,11 @@ from collections.abc import Iterable, Sequence
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
 import scenarios
-from autonomy.partition import AutonomyPartition
 from autonomy.track import Track
 from autonomy.track_files import load_track
 from autonomy.vehicle import VehicleLimits, load_vehicle
@@ -37,6 +36,9 @@ from tools.progress import ProgressBar
 from tools.recorded import Recorded
 from tools.safety_summary import safety_summary
 from tools.summary import driving_summary, event_summary, injected_summary, show_summary, write_summary
+
+if TYPE_CHECKING:
+    from autonomy.partition import AutonomyPartition
 
 DEFAULT_SCENARIO = scenarios.DIRECTORY / "solo_lap.yaml"
 SUMMARY = "summary.json"
@@ -70,6 +72,9 @@ def make_autonomy(scenario: Scenario, road: Road) -> AutonomyPartition:
     ConfigurationError
         When the vehicle file lacks what planning needs.
     """
+    # A process without autonomy, such as the plant's station, would wait for its filters to be imported.
+    from autonomy.partition import AutonomyPartition  # noqa: PLC0415
+
     assert isinstance(road, Track)
     return AutonomyPartition(road, VehicleLimits.from_parameters(scenario.vehicle, load_vehicle(scenario.vehicle)))
 

@@ -7,7 +7,6 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 #: Samples drawn at once: large enough to make a sample cost next to nothing, small enough to be drawn in no time.
 BLOCK = 1024
@@ -40,7 +39,7 @@ class DriftingNoise:
         self._white = np.asarray(white, dtype=np.float64)
         self._drift = np.asarray(drift, dtype=np.float64)
         self._decay = math.exp(-period_s / time_constant_s)
-        self._state: NDArray[np.float64] = self._drift * generator.standard_normal(len(self._drift))
+        self._state: list[float] = (self._drift * generator.standard_normal(len(self._drift))).tolist()
         self._samples: Iterator[list[float]] = iter(())
 
     def next(self) -> list[float]:
@@ -55,8 +54,12 @@ class DriftingNoise:
         """Next samples as an array of shape (count, channels)."""
         shape = (count, len(self._white))
         innovation = self._drift * math.sqrt(1.0 - self._decay**2) * self._generator.standard_normal(shape)
-        drift, last = lfilter([1.0], [1.0, -self._decay], innovation, axis=0, zi=(self._decay * self._state)[None, :])
-        self._state = last[0] / self._decay
+        # Plain numbers: scipy's filter would cost each process that has sensors a second to import.
+        state, decay, rows = self._state, self._decay, []
+        for row in innovation.tolist():
+            state = [decay * before + change for before, change in zip(state, row, strict=True)]
+            rows.append(state)
+        self._state, drift = state, np.array(rows)
         white = self._white * self._generator.standard_normal(shape)
         result: NDArray[np.float64] = drift + white
         return result
