@@ -38,7 +38,7 @@ from dbc.states import SysState
 from tools.realtime_run import PHASES_US, RealTimeOptions, RealTimeRun
 from tools.run import find_scenario
 
-BOUND_S = 30.0
+BOUND_S = 60.0
 """Of the car's time. Generous: waits end as soon as what they wait for has happened."""
 
 MOVING = 4.0
