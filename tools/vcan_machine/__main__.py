@@ -55,6 +55,11 @@ GUESTS = {"stock": Guest("linux-image-amd64", ALL_TESTS), "rt": Guest("linux-ima
 HERE = "own"
 
 
+def _asked_for() -> dict[str, str]:
+    """What the user has set for the tests, which the guest would not see otherwise."""
+    return {name: value for name, value in os.environ.items() if name.startswith("RACELOOP_")}
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; returns the exit status."""
     options = make_parser().parse_args(arguments)
@@ -133,7 +138,7 @@ def run(name: str, command: Sequence[str], timeout_s: float) -> bool:
             print(f"{name}: {package}", flush=True)
             wanted = ["sh", str(NETWORK), *(command or tests(GUESTS[name].tests, Path("/results")))]
             status = machine.run_in_guest(
-                kernel.fetch(package, BUILD), wanted, results, timeout_s, show, PYTHON_IN_GUEST
+                kernel.fetch(package, BUILD), wanted, results, timeout_s, show, PYTHON_IN_GUEST | _asked_for()
             )
     except (machine.MachineError, subprocess.TimeoutExpired) as error:
         print(f"{name}: FAILED: {error}", flush=True)
