@@ -217,7 +217,12 @@ static void run_ssm(void *context)
         .full_brake = self->ssm_output.state == SSM_FULL_BRAKE,
         .standing_still = standing_still(self),
     };
-    self->ct_state = ct_state_next(self->ct_state, &ct);
+    /* A state is left when it has been told: who listens sees each of them. Only an emergency does not wait. */
+    const uint8_t next = ct_state_next(self->ct_state, &ct);
+    if (next == CT_EMRG_SHUTDOWN || self->ct_state_told) {
+        self->ct_state_told = self->ct_state_told && next == self->ct_state;
+        self->ct_state = next;
+    }
 }
 
 /* --- drive by wire --- */
@@ -294,6 +299,7 @@ static void run_ct_report(void *context)
         .vehicle_number = (uint8_t)integer(self, PARAMETER_VEHICLE_NUMBER),
     };
     dbw_command_ct_report(&self->dbw, &report, self->io.out);
+    self->ct_state_told = true;
 }
 
 /* --- status --- */

@@ -73,7 +73,8 @@ typedef struct obc {
     dbw_command dbw;
     uint8_t dbw_violations; /* of the last tick */
     uint8_t ct_state;
-    bool stopping; /* told to stop; until restart */
+    bool ct_state_told; /* in a ct_report */
+    bool stopping;      /* told to stop; until restart */
     status_report status;
 } obc;
 
