@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import signal
+
 import pytest
 
 from bridge.realtime.vcan import Interface, find_interface, kernel_has_can
@@ -55,6 +57,8 @@ class SkipGuard:
 
 
 def pytest_configure(config: pytest.Config) -> None:
+    # A shell lets what it starts in the background ignore Ctrl-C, and so it would be inherited.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     config.pluginmanager.register(SkipGuard(), "skip-guard")
 
 

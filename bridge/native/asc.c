@@ -9,8 +9,6 @@ enum {
     MICROS_DIGITS = 6,
     CHANNEL_DIGITS_MAX = 4,
     IDENTIFIER_DIGITS_MAX = 8,
-    STANDARD_MAX = 0x7FF,
-    EXTENDED_MAX = 0x1FFFFFFF,
 };
 
 static bool take_time(text_cursor *self, uint64_t *time_us)
@@ -33,7 +31,8 @@ static bool take_identifier(text_cursor *self, can_frame *frame)
     }
     const bool extended = text_take(self, 'x');
     frame->flags = extended ? (uint8_t)CAN_FLAG_EXTENDED : 0U;
-    return frame->id <= (uint32_t)(extended ? EXTENDED_MAX : STANDARD_MAX) && text_take_blanks(self) != 0U;
+    return frame->id <= (uint32_t)(extended ? CAN_ID_EXTENDED_MAX : CAN_ID_STANDARD_MAX) &&
+           text_take_blanks(self) != 0U;
 }
 
 static bool take_direction(text_cursor *self)

@@ -65,7 +65,6 @@ typedef enum can_bus_controller {
     CAN_BUS_WARNING_SEND = 0x08,
     CAN_BUS_PASSIVE_RECEIVE = 0x10,
     CAN_BUS_PASSIVE_SEND = 0x20,
-    CAN_BUS_ACTIVE = 0x40,
 } can_bus_controller;
 
 typedef struct can_bus_node {

@@ -12,8 +12,6 @@ enum {
     SECONDS_DIGITS_MAX = 12, /* microseconds stay within 64 bits */
     STANDARD_DIGITS = 3,
     EXTENDED_DIGITS = 8,
-    STANDARD_MAX = 0x7FF,
-    EXTENDED_MAX = 0x1FFFFFFF,
 };
 
 static bool take_time(text_cursor *self, uint64_t *time_us)
@@ -49,7 +47,7 @@ static bool take_identifier(text_cursor *self, can_frame *frame)
     const bool extended = digits == EXTENDED_DIGITS;
     frame->flags = extended ? (uint8_t)CAN_FLAG_EXTENDED : 0U;
     return (extended || digits == STANDARD_DIGITS) && text_take(self, '#') &&
-           frame->id <= (uint32_t)(extended ? EXTENDED_MAX : STANDARD_MAX);
+           frame->id <= (uint32_t)(extended ? CAN_ID_EXTENDED_MAX : CAN_ID_STANDARD_MAX);
 }
 
 static bool take_data(text_cursor *self, can_frame *frame)

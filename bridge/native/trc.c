@@ -9,8 +9,6 @@ enum {
     CHANNEL_DIGITS_MAX = 4,
     IDENTIFIER_DIGITS_MAX = 8,
     STANDARD_DIGITS_MAX = 4,
-    STANDARD_MAX = 0x7FF,
-    EXTENDED_MAX = 0x1FFFFFFF,
 };
 
 static bool is_blank(char character)
@@ -23,7 +21,7 @@ static bool take_identifier(text_cursor *self, can_frame *frame)
     const uint32_t digits = text_take_hexadecimal(self, IDENTIFIER_DIGITS_MAX, &frame->id);
     const bool extended = digits > (uint32_t)STANDARD_DIGITS_MAX;
     frame->flags = extended ? (uint8_t)CAN_FLAG_EXTENDED : (uint8_t)0;
-    return digits != 0U && frame->id <= (uint32_t)(extended ? EXTENDED_MAX : STANDARD_MAX);
+    return digits != 0U && frame->id <= (uint32_t)(extended ? CAN_ID_EXTENDED_MAX : CAN_ID_STANDARD_MAX);
 }
 
 static bool take_channel(text_cursor *self, uint16_t *channel)

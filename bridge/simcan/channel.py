@@ -147,6 +147,11 @@ class Channel:
         lib.can_bus_leave(self.model, node.index)
 
     @property
+    def full(self) -> bool:
+        """True when no frame can be queued."""
+        return bool(self.model.free_count == 0)
+
+    @property
     def empty(self) -> bool:
         """True when no node is left."""
         return not self._nodes
@@ -185,11 +190,10 @@ class Channel:
         if self.clock is Clock.SIMULATED and until_ns != NEVER_NS:
             self._now_ns = max(self._now_ns, until_ns)
 
-    def submit(self, node: Node, frame: Any, at_ns: int) -> bool:
-        """Queue a frame, C struct `can_bus_frame`; False when there is no room, or the node is off the bus."""
-        done = bool(lib.can_bus_submit(self.model, node.index, frame, at_ns))
+    def submit(self, node: Node, frame: Any, at_ns: int) -> None:
+        """Queue a C struct `can_bus_frame`; it is lost, and counted, when there is no room or the node is off."""
+        lib.can_bus_submit(self.model, node.index, frame, at_ns)
         self.changed.notify_all()
-        return done
 
     def is_off(self, node: Node) -> bool:
         """Whether a node has gone off the bus."""

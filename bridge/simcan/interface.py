@@ -107,7 +107,7 @@ class SimCanBus(can.BusABC):
             if self.state is can.BusState.PASSIVE:
                 raise CanOperationError(f"{self.channel_info}: only listens")
             deadline_ns = now_ns + round(max(timeout or 0.0, 0.0) * 1e9)
-            while not self.wire.submit(self.node, frame, self.wire.now_ns()):
+            while self.wire.full:
                 next_ns = lib.can_bus_next_ns(self.wire.model)
                 if next_ns > deadline_ns:
                     raise CanOperationError(f"{self.channel_info}: the transmit queue is full")
@@ -115,6 +115,7 @@ class SimCanBus(can.BusABC):
                     self.wire.changed.wait(max(next_ns - self.wire.now_ns(), 0) / 1e9)
                     next_ns = self.wire.now_ns()
                 self.wire.advance(next_ns)
+            self.wire.submit(self.node, frame, self.wire.now_ns())
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
         """Wait for a message, see `can.BusABC.recv`; errors on the wire come as error frames, whatever the filters are.

@@ -12,6 +12,8 @@
 enum {
     CAN_DATA_MAX = 8,
     CAN_FRAME_SIZE = 24,
+    CAN_ID_STANDARD_MAX = 0x7FF,
+    CAN_ID_EXTENDED_MAX = 0x1FFFFFFF,
 };
 
 /* Buses of the bench. The number is the `bus` of a frame. */

@@ -217,9 +217,9 @@ static void run_ssm(void *context)
         .full_brake = self->ssm_output.state == SSM_FULL_BRAKE,
         .standing_still = standing_still(self),
     };
-    /* A state is left when it has been told: who listens sees each of them. Only an emergency does not wait. */
+    /* A state is left when it has been told: who listens sees each of them. What stops the car does not wait. */
     const uint8_t next = ct_state_next(self->ct_state, &ct);
-    if (next == CT_EMRG_SHUTDOWN || self->ct_state_told) {
+    if (next == CT_COORD_STOP || next == CT_EMRG_SHUTDOWN || self->ct_state_told) {
         self->ct_state_told = self->ct_state_told && next == self->ct_state;
         self->ct_state = next;
     }

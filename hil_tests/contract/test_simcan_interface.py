@@ -308,6 +308,7 @@ def test_full_queue_is_told_or_waited_for(pair: Pair):
     with pytest.raises(can.CanOperationError, match="transmit queue is full"):
         one.send(message(0x700))
     one.send(message(0x700), timeout=0.1)
+    assert find_channel("test").model.statistics.lost == 0  # what is refused was never the bus's
     one.flush_tx_buffer()
     one.send(message(0x701))
 

@@ -32,6 +32,17 @@ static uint32_t frames_of(const ecu_episode *ecu, uint32_t tick, can_frame *fram
     return count;
 }
 
+/* Whatever comes in, an ECU sends whole messages of its own, and no more than fit. */
+static void check_sent(const ecu_episode *ecu, const can_outbox *sent)
+{
+    FUZZ_CHECK(sent->dropped == 0U);
+    for (uint32_t i = 0; i < sent->count; i++) {
+        const can_frame *frame = &sent->frames[i];
+        const codec_message *row = codec_find(frame->bus, frame->id, false);
+        FUZZ_CHECK(row != NULL && row->sender == ecu->station && row->dlc == frame->dlc);
+    }
+}
+
 static void read_file(const char *path)
 {
     FILE *file = fopen(path, "rb");
@@ -60,7 +71,7 @@ static void index_ticks(const ecu_episode *ecu)
     }
 }
 
-void ecu_episode_load(const ecu_episode *ecu)
+static void load(const ecu_episode *ecu)
 {
     static can_frame frames[FRAMES_MAX];
     read_file(ecu->recording);
@@ -78,6 +89,7 @@ void ecu_episode_load(const ecu_episode *ecu)
         const uint32_t count = frames_of(ecu, tick, frames);
         can_outbox out = {.frames = out_frames, .capacity = ECU_EPISODE_OUTBOX};
         ecu->tick((uint64_t)tick * TICK_US, frames, count, &out);
+        check_sent(ecu, &out);
         ecu->check(&out);
     }
 }
@@ -165,7 +177,7 @@ static uint64_t bend_clock(uint64_t now_us, uint8_t kind)
     }
 }
 
-void ecu_episode_run(const ecu_episode *ecu, const uint8_t *data, size_t size)
+static void run(const ecu_episode *ecu, const uint8_t *data, size_t size)
 {
     static can_frame frames[FRAMES_MAX];
     fuzz_bytes in = {data, size};
@@ -199,7 +211,23 @@ void ecu_episode_run(const ecu_episode *ecu, const uint8_t *data, size_t size)
         }
         can_outbox out = {.frames = out_frames, .capacity = ECU_EPISODE_OUTBOX};
         ecu->tick(now_us, frames, count, &out);
+        check_sent(ecu, &out);
         ecu->check(&out);
         now_us += TICK_US;
     }
+}
+
+int LLVMFuzzerInitialize(int *argc, char ***argv)
+{
+    (void)argc;
+    (void)argv;
+    load(&ecu_under_test);
+    FUZZ_CHECK(ecu_under_test.ready());
+    return 0;
+}
+
+int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
+{
+    run(&ecu_under_test, data, size);
+    return 0;
 }

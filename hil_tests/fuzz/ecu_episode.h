@@ -12,6 +12,8 @@
 #ifndef RACELOOP_FUZZ_ECU_EPISODE_H
 #define RACELOOP_FUZZ_ECU_EPISODE_H
 
+#include <stdbool.h>
+
 #include "common/can_frame.h"
 #include "hil_tests/fuzz/fuzz_bytes.h"
 
@@ -24,6 +26,7 @@ enum {
 /* An ECU as the episode sees it. All functions not null. */
 typedef struct ecu_episode {
     const char *recording; /* file that corpus.py made */
+    uint8_t station;       /* enum can_station: what it sends must be its own */
     void *state;
     size_t state_size;
     void *wired; /* may be null with 0 */
@@ -33,12 +36,10 @@ typedef struct ecu_episode {
     void (*tick)(uint64_t now_us, const can_frame *in, uint32_t count, can_outbox *out);
     void (*begin)(void);                   /* an episode starts from a copied state */
     void (*check)(const can_outbox *sent); /* behind each tick */
+    bool (*ready)(void);                   /* the recording has reached what it is for */
 } ecu_episode;
 
-/* Run the recording through the ECU and keep the starts. Ends the process when there is no good recording. */
-void ecu_episode_load(const ecu_episode *ecu);
-
-/* Run one input. */
-void ecu_episode_run(const ecu_episode *ecu, const uint8_t *data, size_t size);
+/* The ECU of a target, which defines it. */
+extern const ecu_episode ecu_under_test;
 
 #endif

@@ -32,11 +32,8 @@ static void check(const can_outbox *sent)
     struct raptor_brake_pressure_cmd_t brake = {0};
     struct raptor_accelerator_cmd_t throttle = {0};
     uint32_t commands = 0U;
-    FUZZ_CHECK(sent->dropped == 0U);
     for (uint32_t i = 0; i < sent->count; i++) {
         const can_frame *frame = &sent->frames[i];
-        const codec_message *row = codec_find(frame->bus, frame->id, false);
-        FUZZ_CHECK(row != NULL && row->sender == CAN_STATION_OBC && row->dlc == frame->dlc);
         if (frame->bus == CAN_BUS_1 && frame->id == RAPTOR_BRAKE_PRESSURE_CMD_FRAME_ID) {
             FUZZ_CHECK(raptor_brake_pressure_cmd_unpack(&brake, frame->data, frame->dlc) == 0);
             commands++;
@@ -62,27 +59,19 @@ static void check(const can_outbox *sent)
                isfinite(control->brake_pressure));
 }
 
-static const ecu_episode ECU = {
+static bool ready(void)
+{
+    return computer.ssm.state == SSM_NOMINAL;
+}
+
+const ecu_episode ecu_under_test = {
     .recording = FUZZ_RECORDINGS "/obc.bin",
+    .station = CAN_STATION_OBC,
     .state = &computer,
     .state_size = sizeof computer,
     .init = init,
     .tick = tick,
     .begin = begin,
     .check = check,
+    .ready = ready,
 };
-
-int LLVMFuzzerInitialize(int *argc, char ***argv)
-{
-    (void)argc;
-    (void)argv;
-    ecu_episode_load(&ECU);
-    FUZZ_CHECK(computer.ssm.state == SSM_NOMINAL); /* the recording reaches what it is for */
-    return 0;
-}
-
-int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
-{
-    ecu_episode_run(&ECU, data, size);
-    return 0;
-}

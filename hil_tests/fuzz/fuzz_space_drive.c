@@ -29,11 +29,7 @@ static void begin(void)
 
 static void check(const can_outbox *sent)
 {
-    FUZZ_CHECK(sent->dropped == 0U);
-    for (uint32_t i = 0; i < sent->count; i++) {
-        const codec_message *row = codec_find(sent->frames[i].bus, sent->frames[i].id, false);
-        FUZZ_CHECK(row != NULL && row->sender == CAN_STATION_SPACE_DRIVE && row->dlc == sent->frames[i].dlc);
-    }
+    (void)sent;
     FUZZ_CHECK(drive.brake_pressure_demand >= 0.0f && drive.brake_pressure_demand <= SPACE_DRIVE_BRAKE_STOP_PA);
     FUZZ_CHECK(fabsf(drive.steer_motor_demand) <= 4.37f); /* where the sensors end */
     FUZZ_CHECK((actuator.emergency & emergency) == emergency);
@@ -44,8 +40,14 @@ static void check(const can_outbox *sent)
     }
 }
 
-static const ecu_episode ECU = {
+static bool ready(void)
+{
+    return actuator.emergency == 0U && drive.brake_pressure_demand < SPACE_DRIVE_BRAKE_STOP_PA;
+}
+
+const ecu_episode ecu_under_test = {
     .recording = FUZZ_RECORDINGS "/space_drive.bin",
+    .station = CAN_STATION_SPACE_DRIVE,
     .state = &actuator,
     .state_size = sizeof actuator,
     .wired = &wired,
@@ -55,19 +57,5 @@ static const ecu_episode ECU = {
     .tick = tick,
     .begin = begin,
     .check = check,
+    .ready = ready,
 };
-
-int LLVMFuzzerInitialize(int *argc, char ***argv)
-{
-    (void)argc;
-    (void)argv;
-    ecu_episode_load(&ECU);
-    FUZZ_CHECK(actuator.emergency == 0U && drive.brake_pressure_demand < SPACE_DRIVE_BRAKE_STOP_PA);
-    return 0;
-}
-
-int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
-{
-    ecu_episode_run(&ECU, data, size);
-    return 0;
-}

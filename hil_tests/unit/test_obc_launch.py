@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from obc_harness import OPERATION, TICK_US, ObcHarness, cast_frames
+from obc_harness import OPERATION, TICK_US, ObcHarness, cast_frames, drop
 
 from bridge._native import ffi, lib
 from dbc.codec import database
@@ -65,6 +65,46 @@ def test_way_to_driving() -> None:
     assert harness.value("gear_shift_cmd", "desired_gear") == 1
     assert harness.throttle > 0
     assert harness.brake_kpa == 0
+
+
+def told_ct_states(harness: ObcHarness) -> list[int]:
+    """What ct_report said, without repetitions."""
+    report = database.message("ct_report")
+    place = report.signals.index("ct_state")
+    said = [int(report.decode(frame.data)[place]) for frame in harness.log if frame.id == report.frame_id]
+    return [state for before, state in zip([None, *said], said, strict=False) if state != before]
+
+
+@pytest.mark.parametrize("phase", range(5))
+def test_a_ct_state_is_told_before_it_is_left(phase: int) -> None:
+    """Configured already when the Raptor is first heard, the computer could leave PWR_ON at once."""
+    harness = ObcHarness()
+    harness.filters.append(drop("misc_report"))
+    harness.tick()
+    harness.configure()
+    harness.run(40 + phase)
+    assert told_ct_states(harness) == [lib.CT_DEFAULT]
+    harness.filters.clear()
+    harness.run(20)
+    assert told_ct_states(harness) == [lib.CT_DEFAULT, lib.CT_PWR_ON, lib.CT_INITIALIZED]
+
+
+@pytest.mark.parametrize(
+    ("flags", "state"),
+    [
+        ({"track_flag": 1}, "CT_COORD_STOP"),  # red
+        ({"veh_flag": 8}, "CT_EMRG_SHUTDOWN"),  # purple
+        ({"veh_flag": 4}, "CT_NOM_RACE"),  # chequered: CAUTION waits
+    ],
+)
+def test_only_a_stop_does_not_wait_until_the_ct_state_is_told(flags: dict[str, int], state: str) -> None:
+    harness = ObcHarness()
+    harness.drive()
+    harness.signals["base_to_car_summary"] |= flags
+    for _ in range(30):
+        harness.obc.ct_state_told = False
+        harness.tick()
+    assert harness.obc.ct_state == getattr(lib, state)
 
 
 @pytest.mark.parametrize("without", ["nodes", "estimate", "plan", "launch", "sensors", "raptor", "race_control"])

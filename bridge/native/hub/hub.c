@@ -3,8 +3,6 @@
 #include <string.h>
 
 enum {
-    STANDARD_ID_MAX = 0x7FF,
-    EXTENDED_ID_MAX = 0x1FFFFFFF,
     KNOWN_FLAGS = CAN_FLAG_EXTENDED | CAN_FLAG_REMOTE | CAN_FLAG_ERROR,
     NS_PER_US = 1000,
 };
@@ -13,8 +11,8 @@ static bool can_exist(const can_frame *frame)
 {
     /* The identifier of an error frame is a set of error classes, as wide as an extended one. */
     const bool wide = (frame->flags & (CAN_FLAG_EXTENDED | CAN_FLAG_ERROR)) != 0;
-    return frame->id <= (wide ? (uint32_t)EXTENDED_ID_MAX : (uint32_t)STANDARD_ID_MAX) && frame->dlc <= CAN_DATA_MAX &&
-           (frame->flags & ~KNOWN_FLAGS) == 0;
+    return frame->id <= (wide ? (uint32_t)CAN_ID_EXTENDED_MAX : (uint32_t)CAN_ID_STANDARD_MAX) &&
+           frame->dlc <= CAN_DATA_MAX && (frame->flags & ~KNOWN_FLAGS) == 0;
 }
 
 uint32_t hub_carry(hub_bus *self, uint8_t bus, uint64_t stamp_ns, const can_frame *frames, uint32_t count,

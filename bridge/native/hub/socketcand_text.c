@@ -8,8 +8,6 @@
 
 enum {
     WORDS_MAX = 3 + CAN_DATA_MAX, /* send ID DLC BYTE... */
-    STANDARD_ID_MAX = 0x7FF,
-    EXTENDED_ID_MAX = 0x1FFFFFFF,
     STANDARD_DIGITS = 3,
     EXTENDED_DIGITS = 8,
     US_PER_S = 1000000,
@@ -92,9 +90,9 @@ static bool read_id(const word *self, can_frame *frame)
 {
     if (self->length == EXTENDED_DIGITS) {
         frame->flags = CAN_FLAG_EXTENDED;
-        return read_hex(self, EXTENDED_DIGITS, &frame->id) && frame->id <= EXTENDED_ID_MAX;
+        return read_hex(self, EXTENDED_DIGITS, &frame->id) && frame->id <= CAN_ID_EXTENDED_MAX;
     }
-    return read_hex(self, STANDARD_DIGITS, &frame->id) && frame->id <= STANDARD_ID_MAX;
+    return read_hex(self, STANDARD_DIGITS, &frame->id) && frame->id <= CAN_ID_STANDARD_MAX;
 }
 
 static bool read_frame(const words *request, can_frame *frame)
