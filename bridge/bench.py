@@ -221,6 +221,8 @@ class Bench:
 
         # The plant is sampled; sensors emit.
         sensed = surroundings.sense(now_us)
+        if self._injector is not None:
+            self._injector.sense()
         if self._speaks(Station.SENSORS):
             network.submit(Station.SENSORS, sensed)
         network.transmit(Bus.CAN_S)

@@ -19,6 +19,7 @@ from bridge.faults.frames import (
     WrongLength,
 )
 from bridge.faults.injector import Injection
+from bridge.faults.memory import ExecutionTime, MemoryAltered, WireAltered
 from bridge.faults.plan import FaultPlan, Onset
 from bridge.faults.signals import (
     Freeze,
@@ -27,6 +28,7 @@ from bridge.faults.signals import (
     Noise,
     Offset,
     ParameterAltered,
+    Reliability,
     Scale,
     SensorFrozen,
     SensorOutage,
@@ -46,6 +48,7 @@ __all__ = [
     "Drop",
     "Duplicate",
     "EngineStall",
+    "ExecutionTime",
     "Fault",
     "FaultPlan",
     "FrameFault",
@@ -57,11 +60,13 @@ __all__ = [
     "Injection",
     "InputFault",
     "Late",
+    "MemoryAltered",
     "Noise",
     "Offset",
     "Onset",
     "ParameterAltered",
     "PowerLoss",
+    "Reliability",
     "Reorder",
     "Replay",
     "Reset",
@@ -72,6 +77,7 @@ __all__ = [
     "Slow",
     "StatusCode",
     "Stuck",
+    "WireAltered",
     "WrongIdentifier",
     "WrongLength",
 ]

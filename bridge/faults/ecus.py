@@ -18,7 +18,9 @@ ECUS = (Station.OBC, Station.RAPTOR, Station.SPACE_DRIVE)
 
 
 @dataclass(frozen=True, kw_only=True)
-class _EcuFault(BenchFault):
+class EcuFault(BenchFault):
+    """Befalls one of the stations that run firmware."""
+
     station: Station
 
     def check(self, database: Codec) -> None:
@@ -27,7 +29,7 @@ class _EcuFault(BenchFault):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Reset(_EcuFault):
+class Reset(EcuFault):
     """The ECU starts anew from its power-on state: once, without a pause."""
 
     kind = "reset"
@@ -42,7 +44,7 @@ class Reset(_EcuFault):
 
 
 @dataclass(frozen=True, kw_only=True)
-class PowerLoss(_EcuFault):
+class PowerLoss(EcuFault):
     """The ECU has no power; when it comes back, it starts anew. A Raptor's outputs fall off meanwhile."""
 
     kind = "power_loss"

@@ -109,6 +109,9 @@ class BenchFault(Fault):
         """Every tick from the first on; returns how often it was injected in it."""
         raise NotImplementedError
 
+    def sense(self, bench: Bench, memory: Memory) -> None:
+        """Every tick, once the plant was sampled for the ECUs' wires."""
+
     def is_over(self, memory: Memory) -> bool:
         """It has ended by itself; asked after each tick."""
         return False

@@ -94,6 +94,11 @@ class Injection:
             if fault.is_over(self._memory):
                 self._end(now_us, for_good=self._begun >= plan.times)
 
+    def sense(self) -> None:
+        """Change what the plant's sensors have put on the ECUs' wires."""
+        if self.active and isinstance(self.plan.fault, BenchFault):
+            self.plan.fault.sense(self._bench, self._memory)
+
     def alter(self, frame: Frame, now_us: int) -> list[Frame]:
         """What goes to the bus instead of a frame that is selected."""
         fault = self.plan.fault
@@ -180,6 +185,11 @@ class Injector:
             injection.begin_tick(now_us)
         altering = any(injection.active and injection.selection is not None for injection in self.injections)
         self._bench.network.divert(self._alter if altering else None)
+
+    def sense(self) -> None:
+        """Change what the ECUs read from their wires in this tick."""
+        for injection in self.injections:
+            injection.sense()
 
     def drive(self, inputs: NDArray[np.float64]) -> None:
         """Change what gets to the plant at the end of the tick."""

@@ -172,6 +172,17 @@ class StatusCode(_NodeFault):
         values["node_status_code"] = float(self.code)
 
 
+@dataclass(frozen=True, kw_only=True)
+class Reliability(_NodeFault):
+    """A node says how far its output can be relied on, in percent."""
+
+    kind = "reliability"
+    percent: float = parameter(minimum=0, maximum=100)
+
+    def change(self, values: dict[str, float], memory: Memory) -> None:
+        values["node_reliability"] = self.percent
+
+
 # --- sensors
 
 

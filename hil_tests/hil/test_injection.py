@@ -14,9 +14,11 @@ from bridge.faults import (
     BusError,
     Drop,
     EngineStall,
+    ExecutionTime,
     Freeze,
     GripLoss,
     Hang,
+    MemoryAltered,
     Offset,
     Onset,
     ParameterAltered,
@@ -24,6 +26,7 @@ from bridge.faults import (
     Reset,
     SensorOutage,
     Slow,
+    WireAltered,
 )
 from bridge.observed_bench import MissedError, ObservedBench
 from bridge.operator import Verdict
@@ -216,6 +219,57 @@ def test_actuator_stuck_engine_stall_and_grip(bench: ObservedBench) -> None:
     assert bench.plant.outputs[running] == 1.0
     bench.inject(EngineStall())
     bench.run_to(lambda: bench.plant.outputs[running] == 0.0, within_s=0.05)
+
+
+def test_memory_is_altered_at_the_start_of_a_tick_or_behind_a_task(bench: ObservedBench) -> None:
+    bench.run_for(0.1)
+    road_wheel = bench.obc.control_output.road_wheel_angle
+    last = bench.inject(MemoryAltered(station=Station.OBC, field="control_output.road_wheel_angle[1]", value="nan"))
+    bench.tick()
+    assert np.isfinite(road_wheel[1])  # control has written it anew
+    last.cancel()
+    behind = {"station": Station.OBC, "after": "control"}
+    lqr = MemoryAltered(field="control_output.road_wheel_angle[CONTROL_LQR]", value="nan", **behind)
+    stanley = MemoryAltered(field="control_output.road_wheel_angle[CONTROL_STANLEY]", value=0.5, **behind)
+    bench.inject(lqr, for_us=20_000)
+    longer = bench.inject(stanley, for_us=40_000)
+    bench.run_for(0.02)
+    assert np.isnan(road_wheel[1])
+    assert road_wheel[2] == 0.5
+    bench.tick()
+    assert np.isfinite(road_wheel[1])
+    assert road_wheel[2] == 0.5
+    bench.run_for(0.02)
+    assert road_wheel[2] != 0.5
+    assert longer.count == 4
+    assert not bench.obc.executive.clock
+    kept = bench.inject(MemoryAltered(station=Station.RAPTOR, field="demand.steer_held", value=0), for_us=10_000)
+    bench.tick()
+    assert kept.count == 1
+
+
+@pytest.mark.expects_faults
+def test_execution_time_counts_as_an_overrun_and_wires_read_something_else(bench: ObservedBench) -> None:
+    bench.run_for(0.1)
+    record = bench.obc.executive.records[1]
+    bench.inject(ExecutionTime(task="control", extra_us=11_000), for_us=30_000)
+    bench.run_for(0.05)
+    assert (record.overruns, record.last_us, bench.obc.executive.overruns) == (3, 0, 3)
+    wired = bench.wiring.raptor_in
+    front = bench.inject(WireAltered(station=Station.RAPTOR, input="brake_pressure_front", offset=1e6), for_us=30_000)
+    bench.inject(WireAltered(station=Station.RAPTOR, input="safety_switch", value=7), for_us=30_000)
+    column = bench.plant.output_names.index("brake_pressure_front")
+    switch = wired.safety_switch
+    assert switch != 7
+    for _ in range(3):
+        true = float(bench.plant.outputs[column])
+        bench.tick()
+        assert wired.brake_pressure_front == pytest.approx(true + 1e6, abs=1.0)
+        assert wired.safety_switch == 7
+    bench.tick()
+    assert wired.brake_pressure_front == pytest.approx(float(bench.plant.outputs[column]), abs=1e5)
+    assert wired.safety_switch == switch
+    assert front.count == 3
 
 
 def test_altered_parameter_is_noticed_by_the_operator(bench: ObservedBench) -> None:

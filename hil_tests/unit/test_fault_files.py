@@ -35,6 +35,9 @@ DRIVE = scenarios.DIRECTORY / "short_drive.yaml"
 STEERING = {"message": "steering_cmd"}
 ANGLE = STEERING | {"signal": "steering_motor_ang_cmd"}
 
+MEMORY = {"fault": "memory_altered", "station": "OBC", "field": "control_output.throttle", "value": 1}
+WIRE = {"fault": "wire_altered", "station": "RAPTOR", "input": "battery_voltage"}
+
 EXAMPLES: dict[str, dict[str, Any]] = {
     "drop": STEERING,
     "delay": STEERING | {"ticks": 2},
@@ -68,6 +71,10 @@ EXAMPLES: dict[str, dict[str, Any]] = {
     "brake_fade": {"factor": 0.4},
     "engine_stall": {},
     "grip_loss": {"factor": 0.3},
+    "reliability": {"node": "planning", "percent": 10.0},
+    "memory_altered": {"station": "OBC", "field": "control_output.throttle", "value": "nan", "after": "control"},
+    "execution_time": {"task": "control", "extra_us": 5000},
+    "wire_altered": {"station": "RAPTOR", "input": "brake_pressure_front", "offset": 1e5},
 }
 
 
@@ -157,6 +164,20 @@ def test_everything_is_read(tmp_path: Path) -> None:
         ({"fault": "engine_stall", "when": {"ssm_state": "FINE"}}, "faults[0].when.ssm_state", "allowed are BOOT"),
         ({"fault": "engine_stall", "when": {"message": "no", "frames": 1}}, "faults[0]", "no message is called 'no'"),
         ("engine_stall", "faults[0]", "must be of type object"),
+        (MEMORY | {"field": "control_output.throttel"}, "faults[0]", "the nearest is 'throttle'"),
+        (MEMORY | {"field": "control_output"}, "faults[0]", "is no number but struct control_output; allowed below"),
+        (MEMORY | {"field": "control_output.road_wheel_angle[5]"}, "faults[0]", "allowed is 0 to 4"),
+        (MEMORY | {"field": "control_output.throttle.x"}, "faults[0]", "float has no parts"),
+        (MEMORY | {"field": "ssm..state"}, "faults[0]", "cannot be read from"),
+        (MEMORY | {"field": "ssm.state", "value": 256}, "faults[0]", "uint8_t cannot hold it"),
+        (MEMORY | {"field": "ssm.state", "value": "nan"}, "faults[0]", "uint8_t cannot hold it"),
+        (MEMORY | {"value": "much"}, "faults[0]", "neither a number, nan, inf nor an enumerator"),
+        (MEMORY | {"value": "obc_init"}, "faults[0]", "neither a number, nan, inf nor an enumerator"),
+        (MEMORY | {"station": "RAPTOR", "field": "speed", "after": "control"}, "faults[0]", "after 'control'"),
+        (WIRE, "faults[0]", "needs either a value or an offset"),
+        (WIRE | {"value": 1, "offset": 1}, "faults[0]", "needs either a value or an offset"),
+        (WIRE | {"input": "gear", "offset": 1}, "faults[0]", "an offset goes with float only"),
+        (WIRE | {"station": "OBC", "value": 1}, "faults[0]", "allowed are RAPTOR, SPACE_DRIVE"),
     ],
 )
 def test_wrong_entries_are_one_line(tmp_path: Path, entry: object, key: str, words: str) -> None:
