@@ -125,11 +125,11 @@ class Projector:
         self._spacing = curve.spacing
         self._count = curve.count
         self._length = curve.length
-        self._x: list[float] = curve.x.tolist()
-        self._y: list[float] = curve.y.tolist()
-        self._cos: list[float] = np.cos(curve.heading).tolist()
-        self._sin: list[float] = np.sin(curve.heading).tolist()
-        self._curvature: list[float] = curve.curvature.tolist()
+        self._x: tuple[float, ...] = tuple(curve.x.tolist())
+        self._y: tuple[float, ...] = tuple(curve.y.tolist())
+        self._cos: tuple[float, ...] = tuple(np.cos(curve.heading).tolist())
+        self._sin: tuple[float, ...] = tuple(np.sin(curve.heading).tolist())
+        self._curvature: tuple[float, ...] = tuple(curve.curvature.tolist())
         self._nodes = np.column_stack((curve.x, curve.y))
         self._index = -1
 

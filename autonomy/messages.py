@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import numpy as np
 
@@ -189,7 +189,7 @@ class PlanWriter:
         self._motion = database.message("trajectory_motion")
         self._counter = 0
 
-    def portions(self, plan: Plan, now_us: int) -> Iterator[bytes]:
+    def portions(self, plan: Plan, now_us: int) -> list[bytes]:
         """Frames to send in this tick and the following ones: the header, then pose and motion point by point."""
         self._counter = (self._counter + 1) & 0xF
         count = len(plan.x)
@@ -206,9 +206,9 @@ class PlanWriter:
             self._counter, count, plan.mission, plan.ends_in_stop, 0, plan.origin_s, (now_us // 1000) & 0xFFFFFFFF
         )
         step = 2 * self.POINTS_PER_TICK * FRAME_SIZE
-        yield header + both[:step]
-        for start in range(step, len(both), step):
-            yield both[start : start + step]
+        portions = [both[start : start + step] for start in range(0, len(both), step)]
+        portions[0] = header + portions[0]
+        return portions
 
 
 class NodeWriter:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 
 from autonomy.localisation import Estimate, Localiser, Quality
@@ -50,7 +49,7 @@ class AutonomyPartition:
         self._planning = NodeWriter(NodeId.PLANNING)
         self._launched = False
         self._next_plan_us = 0
-        self._portions: Iterator[bytes] = iter(())
+        self._portions: list[bytes] = []
         self._planning_status = NodeStatus.INITIALIZED
 
     @classmethod
@@ -105,7 +104,7 @@ class AutonomyPartition:
                 reliability if self._planning_status is NodeStatus.OK else 0.0,
             )
             + self._estimate_writer.frames(estimate)
-            + next(self._portions, b"")
+            + (self._portions.pop(0) if self._portions else b"")
         )
 
     def end(self) -> bytes:

@@ -54,8 +54,8 @@ class Track:
         self.width_left, self.width_right = width_left, width_right
         self.bank, self.grade = bank, grade
         self._projector = Projector(centre)
-        self._bank: list[float] = bank.tolist()
-        self._grade: list[float] = grade.tolist()
+        self._bank: tuple[float, ...] = tuple(bank.tolist())
+        self._grade: tuple[float, ...] = tuple(grade.tolist())
 
     @property
     def length(self) -> float:

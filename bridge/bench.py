@@ -23,6 +23,7 @@ from bridge.pace import WallClockPace
 from bridge.recorder import Recorder, Recording
 from bridge.safety.limits import SafetyLimits
 from bridge.safety.monitor import SafetyMonitor
+from bridge.saved_state import SavedState
 from bridge.scenario import Condition, Scenario, Situation, load_scenario
 from bridge.sensors.truth import Truth
 from bridge.surroundings import TICK_US, Ending, EndWatch, ReportedStates, Surroundings
@@ -295,6 +296,26 @@ class Bench:
                 if on_progress is not None and self.now_us // TICK_US % _PROGRESS_TICKS == 0:
                     on_progress(Progress(self.situation, self.truth.vx, self.station))
         return ending is Ending.FINISHED
+
+    def save(self) -> SavedState:
+        """The state of everything between two ticks, for `restore`.
+
+        Raises
+        ------
+        RaceloopError
+            When it cannot be saved: the FMU does not give its state, the run is being recorded, or there are taps.
+        """
+        self._drain()
+        self.safety.look()
+        return SavedState(self, "bench")
+
+    def restore(self, state: SavedState) -> None:
+        """Go on from a state that `save` gave for this bench; any number of times, in any order.
+
+        What belongs to the bench stays the same object. Faults that were handed in since then are gone; their handles
+        tell what was.
+        """
+        state.restore()
 
     def finish(self) -> Recording | None:
         """Complete the run: the monitors know the last frame, the recording is in place."""

@@ -64,6 +64,26 @@ class Network:
         self._tick_us = 0
         self._elapsed_us = 0
 
+    def save_state(self) -> tuple[bytes, Callable[[bytes], bytes] | None, int, int]:
+        """Inboxes, queues, watches and counts between two ticks, see `bridge.saved_state`.
+
+        Raises
+        ------
+        ValueError
+            When there are frames in the log: to be drained before.
+        """
+        if self.handle.log_count or self.handle.diverted_count:
+            raise ValueError("the network can be saved between two ticks only, and when its log is drained")
+        return bytes(self._lasting()), self._alter, self._tick_us, self._elapsed_us
+
+    def restore_state(self, state: tuple[bytes, Callable[[bytes], bytes] | None, int, int]) -> None:
+        """Go on from there."""
+        self._lasting()[:], self._alter, self._tick_us, self._elapsed_us = state
+
+    def _lasting(self) -> Any:
+        """Memory of the network up to what lasts for a tick only, or until the log is drained."""
+        return ffi.buffer(self.handle, ffi.offsetof("network", "log"))
+
     def begin_tick(self, start_us: int, end_us: int) -> None:
         """Start the tick [start_us, end_us); what is transmitted from now on is stamped inside it."""
         lib.network_begin_slot(self.handle, start_us, end_us)

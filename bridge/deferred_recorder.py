@@ -37,6 +37,14 @@ class DeferredRecorder:
         """Keep the plant's outputs at one time."""
         self._truth.append((time_us, outputs.copy()))
 
+    def save_state(self) -> tuple[list[NDArray[np.void]], list[tuple[int, NDArray[np.float64]]]]:
+        """What was kept so far, see `bridge.saved_state`."""
+        return self.frames.copy(), self._truth.copy()
+
+    def restore_state(self, state: tuple[list[NDArray[np.void]], list[tuple[int, NDArray[np.float64]]]]) -> None:
+        """Go on from there."""
+        self.frames[:], self._truth[:] = state
+
     def finish(self) -> Recording:
         """Write the recording.
 

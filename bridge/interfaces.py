@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,8 +57,24 @@ class Road(Protocol):
         ...
 
 
+class Stateful(Protocol):
+    """A part of the bench that saves its state itself, because it is not in plain Python objects and arrays."""
+
+    def save_state(self) -> Any:
+        """What `restore_state` needs; nothing that changes while the bench goes on."""
+        ...
+
+    def restore_state(self, state: Any) -> None:
+        """Go on from there; any number of times."""
+        ...
+
+
 class Autonomy(Protocol):
-    """The perception, planning and estimation partition: CAN frames in, CAN-A frames out, once per tick."""
+    """The perception, planning and estimation partition: CAN frames in, CAN-A frames out, once per tick.
+
+    A bench whose state is to be saved needs one whose own is in plain Python objects and numpy arrays, generators and
+    iterators excepted; parts that keep it elsewhere are `Stateful`.
+    """
 
     def tick(self, now_us: int, frames: bytes) -> bytes:
         """Run one minor frame.

@@ -17,7 +17,7 @@ from itertools import count, groupby
 from pathlib import Path
 from types import TracebackType
 from typing import Any
-from weakref import WeakValueDictionary
+from weakref import WeakSet, WeakValueDictionary, finalize
 from xml.etree import ElementTree
 
 import fmpy
@@ -130,6 +130,34 @@ def _log_fmi2(_environment: Any, name: bytes, _status: int, _category: bytes, me
 _LOGGER = fmi2.fmi2CallbackLoggerTYPE(_log_fmi2)
 
 
+class PlantState:
+    """State of an FMU, freed with this object.
+
+    Attributes
+    ----------
+    inputs, outputs : of the plant at that time.
+    free : gives it back to the FMU; to be called at the latest before the FMU is freed, safe to call twice.
+    """
+
+    def __init__(self, fmu: Any, inputs: NDArray[np.float64], outputs: NDArray[np.float64], is_fmi3: bool) -> None:
+        self.inputs, self.outputs = inputs, outputs
+        self._set = fmu.setFMUState if is_fmi3 else fmu.setFMUstate
+        self._state = (fmu.getFMUState if is_fmi3 else fmu.getFMUstate)()
+        self.free = finalize(self, fmu.freeFMUState if is_fmi3 else fmu.freeFMUstate, self._state)
+
+    def restore(self) -> None:
+        """Set the FMU to it.
+
+        Raises
+        ------
+        PlantError
+            When it was freed.
+        """
+        if not self.free.alive:
+            raise PlantError("the plant is closed; its saved states are gone")
+        self._set(self._state)
+
+
 class Plant:
     """One instance of an FMU, initialised and ready to step.
 
@@ -162,11 +190,13 @@ class Plant:
     ) -> None:
         self._path = path
         self._folder: str | None = None
+        self._states: WeakSet[PlantState] = WeakSet()
         self._name = f"plant {next(_NUMBERS_OF_INSTANCES)}"
         self._messages: deque[str] = deque(maxlen=1)
         _MESSAGES[self._name.encode()] = self._messages
         description = _read_description(path)
         self._fmi3 = description.fmiVersion.startswith("3")
+        self._gives_state = bool(description.coSimulation.canGetAndSetFMUstate)
         variables = {variable.name: variable for variable in description.modelVariables}
         inputs = [self._variable(variables, name, "input") for name in required_inputs]
         outputs = [self._variable(variables, name, "output") for name in required_outputs]
@@ -229,6 +259,31 @@ class Plant:
                 run.get()
         except FMICallException as error:
             raise self._failed(f"failed at {time_s:.2f} s", error) from error
+
+    def save_state(self) -> PlantState:
+        """State of the FMU with inputs and outputs, see `bridge.saved_state`.
+
+        Raises
+        ------
+        PlantError
+            When the FMU cannot give its state.
+        """
+        if not self._gives_state:
+            raise PlantError(f"{self._path}: its state cannot be saved: it says no canGetAndSetFMUstate")
+        try:
+            state = PlantState(self._fmu, self.inputs.copy(), self.outputs.copy(), self._fmi3)
+        except FMICallException as error:
+            raise self._failed("its state cannot be saved", error) from error
+        self._states.add(state)
+        return state
+
+    def restore_state(self, state: PlantState) -> None:
+        """Go on from there."""
+        try:
+            state.restore()
+        except FMICallException as error:
+            raise self._failed("its state cannot be restored", error) from error
+        self.inputs[:], self.outputs[:] = state.inputs, state.outputs
 
     def close(self) -> None:
         """End the instance and remove its unpacked files; safe to call twice."""
@@ -316,6 +371,8 @@ class Plant:
         return PlantError(f"{self._path}: {what}: {_one_line(reason)}")
 
     def _discard(self) -> None:
+        for state in list(self._states):
+            state.free()
         fmu = getattr(self, "_fmu", None)
         if fmu is not None and fmu.component:
             fmu.freeInstance()

@@ -33,7 +33,8 @@ class StepSequence(Generic[_Step]):
     """
 
     def __init__(self, steps: Sequence[_Step]) -> None:
-        self._steps = iter(steps)
+        self._steps = tuple(steps)
+        self._taken = 0
         self._await_next()
 
     def advance(self, now: Situation) -> _Step | None:
@@ -41,11 +42,12 @@ class StepSequence(Generic[_Step]):
         step = self.waiting_for
         if step is None or not self._trigger.update(now):
             return None
+        self._taken += 1
         self._await_next()
         return step
 
     def _await_next(self) -> None:
-        self.waiting_for = next(self._steps, None)
+        self.waiting_for = self._steps[self._taken] if self._taken < len(self._steps) else None
         if self.waiting_for is not None:
             self._trigger = Trigger(self.waiting_for.when)
 

@@ -120,6 +120,18 @@ class Recorder:
         if self._row_count == _ROWS:
             self.flush()
 
+    def save_state(self) -> None:
+        """What is with the writer cannot be taken back.
+
+        Raises
+        ------
+        RaceloopError
+            Always.
+        """
+        raise RaceloopError(
+            f"{self._folder}: a run that is being recorded cannot be saved; record from a saved state on"
+        )
+
     def flush(self) -> None:
         """Hand over the truth so far, which otherwise waits for more."""
         if self._row_count:

@@ -39,6 +39,16 @@ class Taps:
                 raise ConfigurationError("taps", name, f"unknown bus; allowed are {', '.join(by_name)}")
         self._taps = {by_name[name]: tap for name, tap in buses.items()}
 
+    def save_state(self) -> None:
+        """What is outside cannot be taken back.
+
+        Raises
+        ------
+        BusError
+            Always.
+        """
+        raise BusError("a bench with taps cannot be saved: what is outside does not go back")
+
     def receive(self) -> bytes:
         """Frames that have arrived from outside, ready to submit; never blocks."""
         frames = []

@@ -48,6 +48,7 @@ typedef struct network {
     network_watch watches[NETWORK_WATCH_MAX];
     can_bus_model buses[CAN_BUS_COUNT];
     network_inbox inboxes[CAN_STATION_COUNT];
+    /* From here on nothing lasts once the log is drained and the tick is over: it need not be saved. */
     can_frame log[NETWORK_LOG_MAX];             /* transmitted since the last drain, per bus in order of time */
     can_bus_frame scratch[NETWORK_SCRATCH_MAX]; /* on their way through */
     can_frame diverted[NETWORK_DIVERTED_MAX];   /* submitted and held back, in order */

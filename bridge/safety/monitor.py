@@ -26,8 +26,6 @@ _KEEP_US = 1_000_000
 #: Occasions that are kept of one property; all are counted.
 OCCASIONS_MAX = 20
 
-_ROWS = 4096
-
 
 @dataclass(frozen=True)
 class Violation:
@@ -85,7 +83,7 @@ class SafetyMonitor:
     ) -> None:
         self._database = database
         has_truth = set(TRUTH) <= set(truth_names)
-        self._truth_columns = np.array([1 + truth_names.index(name) for name in TRUTH] if has_truth else [], np.intp)
+        self._truth_columns = np.array([truth_names.index(name) for name in TRUTH] if has_truth else [], np.intp)
         self._properties = [
             kind()
             for kind in PROPERTIES
@@ -104,8 +102,7 @@ class SafetyMonitor:
         )
         self._pending: list[NDArray[np.uint64]] = []
         self._pending_count = 0
-        self._rows: NDArray[np.float64] = np.empty((_ROWS, 1 + len(truth_names)))
-        self._row_count = 0
+        self._rows: list[tuple[int, NDArray[np.float64]]] = []
         self.violations: list[Violation] = []
         self.broken: dict[str, int] = {}
         self.frames = 0
@@ -113,12 +110,7 @@ class SafetyMonitor:
 
     def add_truth(self, time_us: int, outputs: NDArray[np.float64]) -> None:
         """Take the plant's outputs at one time; shape (len(truth_names),)."""
-        if self._row_count == len(self._rows):
-            self._rows = np.concatenate((self._rows, np.empty_like(self._rows)))
-        row = self._rows[self._row_count]
-        row[0] = time_us
-        row[1:] = outputs
-        self._row_count += 1
+        self._rows.append((time_us, outputs[self._truth_columns]))
 
     def update(self, frames: NDArray[np.void]) -> None:
         """Take frames in order of time; array of `FRAME_DTYPE`, copied if it is looked at later."""
@@ -128,6 +120,10 @@ class SafetyMonitor:
         if self._pending_count >= BLOCK_FRAMES:
             self._look(final=False)
 
+    def look(self) -> None:
+        """Look at what there is, but for what needs to know more first."""
+        self._look(final=False)
+
     def finish(self) -> None:
         """Look at everything that is left."""
         self._look(final=True)
@@ -135,23 +131,21 @@ class SafetyMonitor:
 
     def _look(self, final: bool) -> None:
         frames: NDArray[np.void] = np.concatenate([np.empty(0, np.uint64), *self._pending]).view(FRAME_DTYPE)
-        rows = self._rows[: self._row_count]
-        until, rows_until = len(frames), len(rows)
+        times = np.array([time_us for time_us, _ in self._rows], np.int64)
+        until, rows_until = len(frames), len(times)
         if self._truth_columns.size and not final:
             # Only what both are known of.
-            newest_us = int(rows[-1, 0]) if rows_until else -1
+            newest_us = int(times[-1]) if rows_until else -1
             while until and frames["time_us"][until - 1] > newest_us:
                 until -= 1
             last_us = int(frames["time_us"][until - 1]) if until else -1
-            rows_until = int(np.searchsorted(rows[:, 0], last_us, side="right"))
-        self._take(frames[:until], rows[:rows_until])
-        left = rows[rows_until:].copy()
-        self._rows[: len(left)] = left
-        self._row_count = len(left)
+            rows_until = int(np.searchsorted(times, last_us, side="right"))
+        self._take(frames[:until], times[:rows_until], [outputs for _, outputs in self._rows[:rows_until]])
+        del self._rows[:rows_until]
         self._pending = [frames[until:].view(np.uint64)]
         self._pending_count = len(frames) - until
 
-    def _take(self, frames: NDArray[np.void], rows: NDArray[np.float64]) -> None:
+    def _take(self, frames: NDArray[np.void], times: NDArray[np.int64], rows: list[NDArray[np.float64]]) -> None:
         block = FrameBlock.of(frames, self._database)
         for rule in self._rules:
             self._note_frames(rule, block, rule.check(block))
@@ -161,9 +155,9 @@ class SafetyMonitor:
             words = block.words[mine]
             values = codec.columns(words.view(FRAME_DTYPE)[:, 0])
             series.add(words[:, 0].astype(np.int64), block.order[mine] + self.frames, values, _KEEP_US)
-        times = rows[:, 0].astype(np.int64)
         newest = np.searchsorted(block.times, times, side="right") + self.frames - 1
-        self._scene.truth.add(times, np.maximum(newest, 0), rows[:, self._truth_columns].T, _KEEP_US)
+        outputs = np.array(rows).reshape(len(rows), len(self._truth_columns))
+        self._scene.truth.add(times, np.maximum(newest, 0), outputs.T, _KEEP_US)
         self._scene.look_for_launch()
         for one in self._properties:
             for breach in one.check(self._scene):

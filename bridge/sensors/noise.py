@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,14 +40,16 @@ class DriftingNoise:
         self._drift = np.asarray(drift, dtype=np.float64)
         self._decay = math.exp(-period_s / time_constant_s)
         self._state: list[float] = (self._drift * generator.standard_normal(len(self._drift))).tolist()
-        self._samples: Iterator[list[float]] = iter(())
+        self._samples: NDArray[np.float64] = np.empty((0, len(self._white)))
+        self._place = 0
 
     def next(self) -> list[float]:
         """Next sample, one value per channel."""
-        sample = next(self._samples, None)
-        if sample is None:
-            self._samples = iter(self.block(BLOCK).tolist())
-            sample = next(self._samples)
+        if self._place == len(self._samples):
+            self._samples, self._place = self.block(BLOCK), 0
+            self._samples.flags.writeable = False
+        sample: list[float] = self._samples[self._place].tolist()
+        self._place += 1
         return sample
 
     def block(self, count: int) -> NDArray[np.float64]:

@@ -98,7 +98,7 @@ def pytest_run(folder: Path, text: str, *options: str) -> str:
 
 
 def test_the_test_on_the_page_passes(tmp_path: Path) -> None:
-    assert "2 passed" in pytest_run(tmp_path, block("python"))
+    assert "3 passed" in pytest_run(tmp_path, block("python"))
 
 
 def test_what_fails_keeps_log_and_seed(tmp_path: Path) -> None:
