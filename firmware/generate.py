@@ -20,6 +20,7 @@ if __package__ in (None, ""):  # run by its path instead of as a module
 
 from dbc.errors import RaceloopError  # noqa: E402
 from firmware.tables import (  # noqa: E402
+    DEGRADING,
     DIRECTORY,
     FAULTS_FILE,
     PARAMETERS_FILE,
@@ -133,7 +134,8 @@ def fault_source(faults: tuple[Fault, ...]) -> str:
 #include "obc/control.h"
 
 const fault_row fault_table[FAULT_COUNT] = {{
-    {{FAULT_REACTION_NONE, FAULT_LATCH_WHILE_PRESENT, FAULT_SCOPE_ALWAYS, CONTROL_NONE, false, 1, 1}}, /* none */
+    {{FAULT_REACTION_NONE, FAULT_LATCH_WHILE_PRESENT, FAULT_SCOPE_ALWAYS, CONTROL_NONE, false, 1, 1,
+     {{100, 100}}}}, /* none */
 {rows}
 }};
 """
@@ -148,6 +150,7 @@ def _fault_row(fault: Fault) -> str:
         str(fault.blocks_launch).lower(),
         str(fault.debounce_cycles),
         str(fault.clear_cycles),
+        f"{{{', '.join(map(str, fault.share))}}}",
     )
     return f"    {{{', '.join(values)}}}, /* {fault.name} */"
 
@@ -207,6 +210,12 @@ def _figure(value: float, parameter: Parameter) -> str:
     return "-" if parameter.type == "bool" else figure(value)
 
 
+_FAULT_COLUMNS = (
+    *("id", "fault", "condition", "debounce", "reaction", "speed", "acceleration", "latch", "clear", "deadline"),
+    *("supervised", "blocks launch", "detail"),
+)
+
+
 def fault_page(faults: tuple[Fault, ...]) -> str:
     """Documentation page of the fault table."""
     rows = "\n".join(_fault_line(fault) for fault in faults)
@@ -222,6 +231,10 @@ operator withdraws the launch request and asks again; `until restart` never. A f
 SSM is `running` (NOMINAL, DEGRADED, EMERGENCY) or only while `driving`; one that blocks the launch keeps the SSM from
 NOMINAL. Times are milliseconds; the deadline is the longest time from the condition to the reaction.
 
+Speed and acceleration are what a fault that degrades or switches the controller leaves of `degraded_max_speed` and
+`degraded_max_acceleration` ([parameters.md](parameters.md)) while it is active; of several the least counts, of each.
+The reasons are in `firmware/schema/faults.yaml`.
+
 The states of the System Status Manager ([ssm.md](ssm.md)), and by their ids the faults that lead from one to another.
 With `degraded_driving_allowed: false` those that degrade or switch the controller stop the car like a safe stop.
 
@@ -229,8 +242,8 @@ With `degraded_driving_allowed: false` those that degrade or switch the controll
 {_fault_diagram(faults)}
 ```
 
-| id | fault | condition | debounce | reaction | latch | clear | deadline | supervised | blocks launch | detail |
-| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |
+| {" | ".join(_FAULT_COLUMNS)} |
+|{" --- |" * len(_FAULT_COLUMNS)}
 {rows}
 """
 
@@ -274,6 +287,7 @@ def _fault_line(fault: Fault) -> str:
         fault.detection,
         str(fault.debounce_ms),
         reaction,
+        *(f"{value} %" if fault.reaction in DEGRADING else "-" for value in fault.share),
         fault.latch.replace("_", " "),
         str(fault.clear_ms),
         str(fault.deadline_ms),

@@ -28,6 +28,7 @@ SIGNS = {"positive": 1, "non_negative": 1, "negative": -1, "any": 0}
 SAFETY = ("high", "medium", "low")
 RULES = ("less", "product")
 REACTIONS = ("none", "warn", "degrade", "switch_controller", "safe_stop", "full_brake")
+DEGRADING = ("degrade", "switch_controller")
 LATCHES = ("while_present", "until_reset", "until_restart")
 SCOPES = ("always", "running", "driving")
 CONTROLLERS = ("none", "lqr", "stanley", "pure_pursuit")
@@ -112,11 +113,21 @@ class Fault:
     blocks_launch: bool
     disables: str = "none"
     detail: str = ""
+    speed_percent: int | None = None
+    acceleration_percent: int | None = None
 
     @property
     def debounce_cycles(self) -> int:
         """Consecutive cycles with the condition before the fault is active."""
         return self.debounce_ms // CYCLE_MS if self.debounce_ms else 1
+
+    @property
+    def share(self) -> tuple[int, int]:
+        """What is left of the degraded speed and acceleration while the fault is active, percent."""
+        if self.speed_percent is not None and self.acceleration_percent is not None:
+            return self.speed_percent, self.acceleration_percent
+        stops = REACTIONS.index(self.reaction) > REACTIONS.index("switch_controller")
+        return (0, 0) if stops else (100, 100)
 
     @property
     def clear_cycles(self) -> int:
@@ -223,6 +234,16 @@ def _check_fault(path: Path, fault: Fault) -> None:
     require(fault.reaction != "safe_stop" or fault.latch != "while_present", "a safe stop latches until a reset")
     require((fault.reaction == "full_brake") == (fault.latch == "until_restart"), "only a full brake needs a restart")
     require((fault.reaction == "switch_controller") == (fault.disables != "none"), "a switch disables a controller")
+    for key in ("speed_percent", "acceleration_percent"):
+        value = getattr(fault, key)
+        if fault.reaction in DEGRADING:
+            require(_is_percent(value), f"{key} {value!r} is no whole number from 1 to 100")
+        else:
+            require(value is None, f"{key} is only for {' and '.join(DEGRADING)}")
+
+
+def _is_percent(value: object) -> bool:
+    return type(value) is int and 0 < value <= 100
 
 
 def _require(path: Path, key: str, condition: bool, problem: str) -> None:

@@ -98,6 +98,7 @@ class SafetyLimits:
     gears : number of forward gears.
     max_speed, max_acceleration, max_deceleration : what the SSM may allow, m/s and m/s2.
     degraded_max_speed, degraded_max_acceleration : while degraded.
+    degraded_shares : by the id of each fault that degrades: what it leaves of these two, as fractions.
     standstill_speed : below, the car stands, m/s.
     full_brake_faults : by the id of each fault whose reaction is a full brake: time from its fault_event, us.
     brakes : see `BrakeLines`.
@@ -113,6 +114,7 @@ class SafetyLimits:
     max_deceleration: float
     degraded_max_speed: float
     degraded_max_acceleration: float
+    degraded_shares: Mapping[int, tuple[float, float]]
     standstill_speed: float
     full_brake_faults: Mapping[int, int]
     brakes: BrakeLines
@@ -149,6 +151,7 @@ class SafetyLimits:
             max_deceleration=most("max_deceleration"),
             degraded_max_speed=most("degraded_max_speed"),
             degraded_max_acceleration=most("degraded_max_acceleration"),
+            degraded_shares=_degraded_shares(),
             standstill_speed=most("standstill_speed"),
             full_brake_faults=_full_brake_faults(),
             brakes=BrakeLines.of_vehicle(scenario.vehicle, vehicle),
@@ -165,6 +168,15 @@ def _accepted(parameter: Parameter, value: object) -> float:
 @cache
 def _parameters() -> Mapping[str, Parameter]:
     return {parameter.name: parameter for parameter in load_parameters().parameters}
+
+
+@cache
+def _degraded_shares() -> Mapping[int, tuple[float, float]]:
+    return {
+        fault.id: (fault.speed_percent / 100.0, fault.acceleration_percent / 100.0)
+        for fault in load_faults()
+        if fault.speed_percent is not None and fault.acceleration_percent is not None
+    }
 
 
 @cache

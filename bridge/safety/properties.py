@@ -15,6 +15,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from bridge.safety.active_faults import ActiveFaults
 from bridge.safety.limits import (
     CYCLE_US,
     NEUTRAL_COUNTS,
@@ -34,6 +35,7 @@ Rows = NDArray[np.bool_]
 
 #: Half a bit of each signal, which encoding may add.
 _KPA, _PERCENT, _DEG = 0.5, 0.005, 0.25
+_SPEED, _ACCELERATION = 0.025 + 1e-9, 0.05 + 1e-9  # of what the SSM allows, m/s and m/s2
 #: A count of a request on CAN3 and a bit of a command on CAN1, kPa.
 _REQUEST_KPA = 1.0
 
@@ -366,9 +368,15 @@ class SsmLimits(Property):
     """The SSM allows no more than the configuration."""
 
     id = "SAFE-9"
-    text = "The speed and accelerations that the SSM allows are at most those configured for its state; else none."
-    source = "max_* and degraded_max_* of the operation file"
-    messages = (SSM,)
+    text = (
+        "The speed and accelerations that the SSM allows are at most those configured for its state, else none; two "
+        "cycles after the fault_event of a fault, until that of its end, at most what it leaves of those of DEGRADED."
+    )
+    source = "max_* and degraded_max_* of the operation file; speed_percent and acceleration_percent in faults.yaml"
+    messages = (SSM, FAULT)
+
+    def __init__(self) -> None:
+        self._faults: ActiveFaults | None = None
 
     def check(self, scene: Scene) -> Iterator[Breach]:
         """See `Property`."""
@@ -376,15 +384,34 @@ class SsmLimits(Property):
         state = ssm["ssm_state"]
         nominal, degraded = state == SsmState.NOMINAL, state == SsmState.DEGRADED
         for signal, normal, lower, slack, braking in (
-            ("ssm_max_speed", limits.max_speed, limits.degraded_max_speed, 0.025, False),
-            ("ssm_max_acceleration", limits.max_acceleration, limits.degraded_max_acceleration, 0.05, False),
-            ("ssm_max_deceleration", limits.max_deceleration, limits.max_deceleration, 0.05, True),
+            ("ssm_max_speed", limits.max_speed, limits.degraded_max_speed, _SPEED, False),
+            ("ssm_max_acceleration", limits.max_acceleration, limits.degraded_max_acceleration, _ACCELERATION, False),
+            ("ssm_max_deceleration", limits.max_deceleration, limits.max_deceleration, _ACCELERATION, True),
         ):
             most = np.where(nominal, normal, np.where(degraded, lower, 0.0))
             if braking:
                 most[state == SsmState.EMERGENCY] = normal
             seen = _with_state(ssm, "ssm_state", SsmState, _value(ssm, signal))
-            yield Breach(ssm, ssm[signal] > most + slack + 1e-9, seen, _at_most(most))
+            yield Breach(ssm, ssm[signal] > most + slack, seen, _at_most(most))
+        yield from self._by_fault(scene)
+
+    def _by_fault(self, scene: Scene) -> Iterator[Breach]:
+        limits, ssm = scene.limits, scene.series[SSM]
+        if self._faults is None:
+            self._faults = ActiveFaults(limits.degraded_shares)
+        self._faults.update(scene.series[FAULT], ssm)
+        if not len(ssm.times):
+            return
+        shares = self._faults.least(ssm.times)
+        for signal, lower, slack, share in (
+            ("ssm_max_speed", limits.degraded_max_speed, _SPEED, shares[:, 0]),
+            ("ssm_max_acceleration", limits.degraded_max_acceleration, _ACCELERATION, shares[:, 1]),
+        ):
+            most = lower * share
+            # The event that a fault has gone comes behind the first status without it.
+            held = lasting(ssm[signal] > most + slack, ssm.times)
+            seen = _with_state(ssm, "ssm_state", SsmState, _value(ssm, signal))
+            yield Breach(ssm, held > PASSING_US, seen, _at_most(most, " with the faults that are active"))
 
 
 class NoMotionBeforeLaunch(Property):
@@ -646,5 +673,5 @@ def _range_of(low: Column, high: Column, unit: str) -> Callable[[int], str]:
     return lambda row: f"{max(low[row], 0.0):.5g} to {high[row]:.5g} {unit}"
 
 
-def _at_most(most: Column) -> Callable[[int], str]:
-    return lambda row: f"at most {most[row]:.4g}"
+def _at_most(most: Column, when: str = "") -> Callable[[int], str]:
+    return lambda row: f"at most {most[row]:.4g}{when}"

@@ -65,6 +65,21 @@ uint8_t fault_monitor_worst(const fault_monitor *self)
     return (uint8_t)worst;
 }
 
+fault_share fault_monitor_share(const fault_monitor *self)
+{
+    fault_share least = fault_table[FAULT_NONE].share;
+    for (uint32_t id = FAULT_NONE + 1U; id < FAULT_COUNT; id++) {
+        const fault_share *share = &fault_table[id].share;
+        if (self->faults[id].active && share->speed < least.speed) {
+            least.speed = share->speed;
+        }
+        if (self->faults[id].active && share->acceleration < least.acceleration) {
+            least.acceleration = share->acceleration;
+        }
+    }
+    return least;
+}
+
 uint8_t fault_monitor_active_count(const fault_monitor *self)
 {
     uint8_t count = 0U;

@@ -1,4 +1,4 @@
-/* Faults: debounce, latches, the most severe reaction, and the events that tell of them.
+/* Faults: debounce, latches, the most severe reaction, the least share of the limits, and the events that tell of them.
  *
  * Everything about a single fault stands in the generated fault_table; this module knows none by name.
  */
@@ -49,6 +49,9 @@ void fault_monitor_step(fault_monitor *self, const fault_conditions *conditions,
 
 /* The active fault with the most severe reaction (enum fault_id; the first of equals), or FAULT_NONE. */
 uint8_t fault_monitor_worst(const fault_monitor *self);
+
+/* What all active faults together leave: the least of each share; 100 percent while none is active. */
+fault_share fault_monitor_share(const fault_monitor *self);
 
 /* Number of active faults. */
 uint8_t fault_monitor_active_count(const fault_monitor *self);

@@ -29,6 +29,13 @@ enum fault_scope {
     FAULT_SCOPE_DRIVING = 2, /* running, and control moves the car */
 };
 
+/* What is left of the degraded limits while a fault is active, percent: 100 for one that limits nothing, 0 for one
+ * that stops the car. */
+typedef struct fault_share {
+    uint8_t speed;
+    uint8_t acceleration;
+} fault_share;
+
 /* What one fault does. */
 typedef struct fault_row {
     uint8_t reaction;         /* enum fault_reaction */
@@ -38,6 +45,7 @@ typedef struct fault_row {
     bool blocks_launch;       /* its condition keeps the SSM in LAUNCHING */
     uint16_t debounce_cycles; /* consecutive 10 ms cycles with the condition before the fault is active, from 1 */
     uint16_t clear_cycles;    /* consecutive cycles without it before the fault may clear, from 1 */
+    fault_share share;
 } fault_row;
 
 #endif

@@ -73,13 +73,23 @@ static uint8_t next_state(const ssm *self, const ssm_input *input, uint8_t react
     }
 }
 
-static ssm_limits limits_in_force(uint8_t state, const ssm_input *input)
+/* Each fault leaves its share of what a degraded car may do. */
+static ssm_limits shared_limits(const ssm_limits *degraded, fault_share share)
 {
-    switch (state) {
+    return (ssm_limits){
+        .max_speed = degraded->max_speed * (float)share.speed / 100.0f,
+        .max_acceleration = degraded->max_acceleration * (float)share.acceleration / 100.0f,
+        .max_deceleration = degraded->max_deceleration,
+    };
+}
+
+static ssm_limits limits_in_force(const ssm *self, const ssm_input *input)
+{
+    switch (self->state) {
     case SSM_NOMINAL:
         return input->nominal;
     case SSM_DEGRADED:
-        return input->degraded;
+        return shared_limits(&input->degraded, fault_monitor_share(&self->faults));
     case SSM_EMERGENCY:
         return (ssm_limits){.max_deceleration = input->nominal.max_deceleration};
     default:
@@ -100,7 +110,7 @@ void ssm_step(ssm *self, const ssm_input *input, ssm_output *output)
     self->state = reaction == FAULT_REACTION_FULL_BRAKE ? SSM_FULL_BRAKE : next_state(self, input, reaction, reset);
 
     memset(output, 0, sizeof *output);
-    output->limits = limits_in_force(self->state, input);
+    output->limits = limits_in_force(self, input);
     output->state = self->state;
     output->reaction = self->state == SSM_FULL_BRAKE ? (uint8_t)FAULT_REACTION_FULL_BRAKE : reaction;
     output->worst_fault = worst;

@@ -16,7 +16,7 @@ enum ssm_state {
     SSM_CONFIG_CHECK = 1, /* full brake; waits for a configuration and its verdict */
     SSM_LAUNCHING = 2,    /* full brake; nodes may start */
     SSM_NOMINAL = 3,
-    SSM_DEGRADED = 4,   /* lower limits, or a backup controller */
+    SSM_DEGRADED = 4,   /* lower limits by fault, or a backup controller */
     SSM_EMERGENCY = 5,  /* stops along the path, then holds */
     SSM_FULL_BRAKE = 6, /* until restart */
 };
@@ -32,7 +32,7 @@ typedef struct ssm_limits {
 typedef struct ssm_input {
     const fault_conditions *conditions; /* not null */
     ssm_limits nominal;
-    ssm_limits degraded;
+    ssm_limits degraded;   /* with no fault that leaves less */
     uint64_t now_us;       /* monotonic */
     uint8_t verdict;       /* enum parameter_verdict */
     bool degraded_allowed; /* false: what would degrade stops the car instead */

@@ -77,6 +77,22 @@ void proof_worst(void)
     PROVE(fault_monitor_active_count(&self) < FAULT_COUNT, "never more than there are");
 }
 
+/* Limits while degraded. */
+void proof_share(void)
+{
+    const fault_monitor self = any_monitor();
+    const fault_share least = fault_monitor_share(&self);
+    const uint32_t id = any_fault();
+    const fault_row *row = &fault_table[id];
+    PROVE(!self.faults[id].active || least.speed <= row->share.speed, "no more speed than each active fault leaves");
+    PROVE(!self.faults[id].active || least.acceleration <= row->share.acceleration, "no more acceleration");
+    PROVE(least.speed <= 100U && least.acceleration <= 100U, "never more than the degraded limits");
+    const bool degrades = row->reaction == FAULT_REACTION_DEGRADE || row->reaction == FAULT_REACTION_SWITCH_CONTROLLER;
+    PROVE(!degrades || (row->share.speed > 0U && row->share.acceleration > 0U), "a fault that degrades leaves some");
+    PROVE(row->reaction < FAULT_REACTION_SAFE_STOP || (row->share.speed == 0U && row->share.acceleration == 0U),
+          "one that stops the car nothing");
+}
+
 /* Before the launch no fault is active that stops the car safely: none is looked for, and a reset has let go. */
 static bool sound_launch(const ssm *self)
 {

@@ -21,6 +21,8 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
+from firmware.tables import load_faults
+
 FIRMWARE = Path(__file__).resolve().parents[1]
 ROOT = FIRMWARE.parent
 BUILD = ROOT / "build" / "proofs"
@@ -58,6 +60,7 @@ _CODEC = ("proofs/codec_proofs.c", "common/codec.c", "generated/codec_table.c")
 _OUTBOX = ("proofs/outbox_proofs.c", "common/can_frame.c")
 _VOTER = ("proofs/voter_proofs.c", "common/voter.c")
 _FAULTS = ("proofs/fault_monitor_proofs.c", "obc/fault_monitor.c", "obc/ssm.c", "generated/fault_table.c")
+_FAULT_LOOP = len(load_faults()) + 2
 _PARAMETERS = ("proofs/parameters_proofs.c", "obc/parameters.c", "generated/parameter_table.c")
 
 PROOFS = (
@@ -102,15 +105,19 @@ PROOFS = (
         ("common/voter.c", "fmaxf(a, b), c)", "fmaxf(a, c), b)"),
     ),
     Proof(
-        "fault_step", "faults: debounce, latch, clear, event ring", _FAULTS, 56,
+        "fault_step", "faults: debounce, latch, clear, event ring", _FAULTS, _FAULT_LOOP,
         ("obc/fault_monitor.c", "row->latch == FAULT_LATCH_UNTIL_RESTART ||", ""),
     ),
     Proof(
-        "worst", "faults: the most severe reaction wins", _FAULTS, 56,
+        "worst", "faults: the most severe reaction wins", _FAULTS, _FAULT_LOOP,
         ("obc/fault_monitor.c", "reaction > fault_table[worst]", "reaction < fault_table[worst]"),
     ),
     Proof(
-        "ssm", "SSM: FULL_BRAKE absorbing, no way around the launch", _FAULTS, 56,
+        "share", "faults: the least share of the limits counts", _FAULTS, _FAULT_LOOP,
+        ("obc/fault_monitor.c", "share->speed < least.speed", "share->speed > least.speed"),
+    ),
+    Proof(
+        "ssm", "SSM: FULL_BRAKE absorbing, no way around the launch", _FAULTS, _FAULT_LOOP,
         ("obc/ssm.c", "    default:\n        return SSM_FULL_BRAKE;", "    default:\n        return SSM_BOOT;"),
     ),
     Proof(

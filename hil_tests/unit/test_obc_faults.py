@@ -273,6 +273,15 @@ def counter(message: MessageCodec) -> bool:
     return any(signal.endswith(("_counter", "_heartbeat")) for signal in message.signals)
 
 
+def left_by(active: set[int]) -> tuple[float, float]:
+    """Least shares of the degraded speed and acceleration, by the table's source; no fault leaves all."""
+    rows = [fault for fault in FAULTS.values() if fault.id in active]
+    return (
+        min((row.speed_percent for row in rows if row.speed_percent), default=100) / 100.0,
+        min((row.acceleration_percent for row in rows if row.acceleration_percent), default=100) / 100.0,
+    )
+
+
 @pytest.mark.parametrize(("name", "provoke"), [pytest.param(n, p, id=f"{n}-{way}") for n, way, p in CASES])
 def test_fault(name: str, provoke: Provoke) -> None:
     harness = ObcHarness()
@@ -311,9 +320,37 @@ def test_fault(name: str, provoke: Provoke) -> None:
     elif reaction >= lib.FAULT_REACTION_DEGRADE:
         assert harness.state >= lib.SSM_DEGRADED
         if harness.state == lib.SSM_DEGRADED:
-            assert harness.value("ssm_status", "ssm_max_speed") == 30.0
+            speed, acceleration = left_by(harness.active_faults())
+            assert speed <= fault.speed_percent / 100.0
+            assert acceleration <= fault.acceleration_percent / 100.0
+            assert harness.value("ssm_status", "ssm_max_speed") == pytest.approx(30.0 * speed, abs=0.025)
+            assert harness.value("ssm_status", "ssm_max_acceleration") == pytest.approx(3.0 * acceleration, abs=0.05)
     if reaction == lib.FAULT_REACTION_SWITCH_CONTROLLER:
         assert harness.value("ssm_status", "ssm_controller") == lib.CONTROL_STANLEY
+
+
+def test_limits_of_two_faults_and_of_the_one_that_is_left() -> None:
+    harness = ObcHarness()
+    harness.drive()
+    periods = dict(harness.periods)
+
+    def limits() -> tuple[float, float]:
+        speed, acceleration = (harness.value("ssm_status", f"ssm_max_{name}") for name in ("speed", "acceleration"))
+        return round(speed, 3), round(acceleration, 3)
+
+    assert limits() == (63.1, 8.0)
+    del harness.periods["accelerator_report"]
+    harness.run(15)
+    assert limits() == (30.0, 1.5)
+    harness.node_reliability[0] = 0.0
+    harness.run(10)
+    assert limits() == (18.0, 1.5)
+    harness.periods = periods
+    harness.run(60)
+    assert limits() == (18.0, 1.8)
+    harness.node_reliability[0] = 100.0
+    harness.run(110)
+    assert limits() == (63.1, 8.0)
 
 
 def test_driving_goes_on_after_a_short_sensor_gap() -> None:

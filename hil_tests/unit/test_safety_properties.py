@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+import yaml
 from numpy.typing import NDArray
 
 from bridge.plant import REQUIRED_OUTPUTS
@@ -16,7 +17,7 @@ from bridge.scenario import load_scenario
 from dbc.codec import database
 from dbc.frames import FRAME_DTYPE, Station
 from dbc.states import CtState, SsmState, SysState
-from firmware.tables import load_faults
+from firmware.tables import FAULTS_FILE, load_faults
 from tools.run import build_bench, find_scenario, load_road
 
 SCENARIO = load_scenario(find_scenario("short_drive"))
@@ -141,10 +142,10 @@ def frame_of(log: Recording, place: int) -> tuple[int, int]:
 # --- SAFE-1: full brake commanded -----------------------------------------------------------------------------------
 
 
-def fault_event(name: str) -> bytes:
+def fault_event(name: str, active: bool = True) -> bytes:
     (fault,) = (fault for fault in load_faults() if fault.name == name)
-    reaction = {"full_brake": 5, "degrade": 2}[fault.reaction]
-    return database.message("fault_event").frame(fault.id, 1, 0, reaction, 0, 0)
+    reaction = {"full_brake": 5, "switch_controller": 3, "degrade": 2}[fault.reaction]
+    return database.message("fault_event").frame(fault.id, int(active), 0, reaction, 0, 0)
 
 
 def test_full_brake_fault_without_full_brake(log: Recording) -> None:
@@ -353,6 +354,95 @@ def test_ssm_limits(log: Recording, state: SsmState, signal: str, inside: float,
     assert found(log, "SAFE-9") is None
     log.put("ssm_status", signal, outside, place)
     assert found(log, "SAFE-9") == frame_of(log, int(place[0]))
+
+
+#: Time of a fault_event, just behind an ssm_status.
+EVENT_US = DRIVES_US + 5 * MS
+
+
+@dataclass
+class Degraded:
+    """A recording in which the car is degraded from `EVENT_US` on, with the largest degraded limits."""
+
+    log: Recording
+
+    def __post_init__(self) -> None:
+        self.log.put("ssm_status", "ssm_active_faults", 1.0, self.log.places("ssm_status", EVENT_US))
+        self.log.put("ssm_status", "ssm_state", SsmState.DEGRADED, self.log.places("ssm_status", EVENT_US))
+        self.allow(30.0, 3.0)
+
+    def allow(self, speed: float, acceleration: float, begin_us: int = EVENT_US, end_us: int = 1 << 60) -> None:
+        self.log.put("ssm_status", "ssm_max_speed", speed, self.log.places("ssm_status", begin_us, end_us))
+        self.log.put(
+            "ssm_status", "ssm_max_acceleration", acceleration, self.log.places("ssm_status", begin_us, end_us)
+        )
+
+    def broken_at(self, begin_us: int) -> bool:
+        """Whether the first violation is in the fourth status from a time on: for two cycles it may lag."""
+        place = self.log.places("ssm_status", begin_us)[3]
+        at = found(self.log, "SAFE-9")
+        assert at is None or at == frame_of(self.log, int(place))
+        return at is not None
+
+
+def test_ssm_limits_by_fault_of_the_table() -> None:
+    """Read apart from the firmware's table, whose build the same file goes into."""
+    source = yaml.safe_load(FAULTS_FILE.read_text())["faults"]
+    assert LIMITS.degraded_shares == {
+        number: (row["speed_percent"] / 100.0, row["acceleration_percent"] / 100.0)
+        for number, row in enumerate(source, 1)
+        if row["reaction"] in ("degrade", "switch_controller")
+    }
+
+
+@pytest.mark.parametrize(
+    ("fault", "speed", "acceleration"),
+    [("lqr_invalid", 21.0, 2.1), ("lateral_acceleration_high", 21.0, 1.5), ("estimate_bad", 15.0, 1.5)],
+)
+def test_ssm_limits_by_fault(log: Recording, fault: str, speed: float, acceleration: float) -> None:
+    log.insert(fault_event(fault), EVENT_US)
+    degraded = Degraded(log)
+    degraded.allow(speed, acceleration)
+    assert not degraded.broken_at(EVENT_US)
+    for one, other in ((0.05, 0.0), (0.0, 0.1)):
+        degraded.allow(speed + one, acceleration + other)
+        assert degraded.broken_at(EVENT_US)
+
+
+def test_ssm_limits_of_nominal_with_a_fault(log: Recording) -> None:
+    """A state that does not fit the fault is no way round its limits."""
+    log.insert(fault_event("lqr_invalid"), EVENT_US)
+    degraded = Degraded(log)
+    log.put("ssm_status", "ssm_state", SsmState.NOMINAL, log.places("ssm_status", EVENT_US))
+    assert degraded.broken_at(EVENT_US)
+
+
+def test_ssm_limits_of_two_faults_of_which_one_goes(log: Recording) -> None:
+    middle_us = EVENT_US + 500 * MS
+    log.insert(fault_event("lqr_invalid"), EVENT_US)
+    log.insert(fault_event("estimate_bad"), EVENT_US)
+    log.insert(fault_event("estimate_bad", active=False), middle_us)
+    degraded = Degraded(log)
+    degraded.allow(15.0, 1.5)
+    degraded.allow(21.0, 2.1, middle_us - 10 * MS)  # the event comes behind the first status without the fault
+    assert not degraded.broken_at(middle_us)
+    degraded.allow(21.0, 2.1, middle_us - 40 * MS)
+    assert degraded.broken_at(middle_us - 40 * MS)
+    degraded.allow(15.0, 1.5)
+    degraded.allow(21.05, 2.1, middle_us)
+    assert degraded.broken_at(middle_us)
+
+
+def test_ssm_limits_when_no_fault_is_active_any_more(log: Recording) -> None:
+    """What was started again tells no end of its faults."""
+    log.insert(fault_event("estimate_bad"), EVENT_US)
+    degraded = Degraded(log)
+    degraded.allow(15.0, 1.5)
+    middle_us = EVENT_US + 500 * MS
+    degraded.allow(30.0, 3.0, middle_us)
+    assert degraded.broken_at(middle_us)
+    log.put("ssm_status", "ssm_active_faults", 0.0, log.places("ssm_status", middle_us)[:1])
+    assert not degraded.broken_at(middle_us)
 
 
 # --- SAFE-10, SAFE-11: launch ---------------------------------------------------------------------------------------

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import Any
 
 import pytest
@@ -57,6 +58,12 @@ def test_row_matches_source(fault: Fault) -> None:
     )
     assert (row.debounce_cycles, row.clear_cycles) == (fault.debounce_cycles, fault.clear_cycles)
     assert (row.disables, bool(row.blocks_launch)) == (CONTROLLERS.index(fault.disables), fault.blocks_launch)
+    expected: tuple[int | None, int | None] = (fault.speed_percent, fault.acceleration_percent)
+    if fault.reaction in ("none", "warn"):
+        expected = (100, 100)
+    elif fault.reaction in ("safe_stop", "full_brake"):
+        expected = (0, 0)
+    assert (row.share.speed, row.share.acceleration) == expected
 
 
 @pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: fault.name)
@@ -126,6 +133,20 @@ def test_most_severe_wins_and_first_of_equals() -> None:
     monitor.step(warn, degrade, later_stop, stop)
     assert lib.fault_monitor_worst(monitor.c) == stop
     assert lib.fault_monitor_active_count(monitor.c) == 4
+
+
+def test_least_share_of_every_pair_of_faults() -> None:
+    none = lib.fault_monitor_share(Monitor().c)
+    assert (none.speed, none.acceleration) == (100, 100)
+    shares = {fault.id: (fault.speed_percent or 100, fault.acceleration_percent or 100) for fault in FAULTS}
+    driving_on = [fault.id for fault in FAULTS if fault.reaction in ("warn", "degrade", "switch_controller")]
+    assert len({shares[fault] for fault in driving_on}) > 5
+    for one, other in itertools.product(driving_on, repeat=2):
+        monitor = Monitor()
+        monitor.c.faults[one].active = monitor.c.faults[other].active = True
+        least = lib.fault_monitor_share(monitor.c)
+        assert least.speed == min(shares[one][0], shares[other][0])
+        assert least.acceleration == min(shares[one][1], shares[other][1])
 
 
 def test_event_queue_is_bounded_and_keeps_order() -> None:

@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 
 from bridge._native import ffi, lib
+from firmware.tables import load_faults
 
 NOMINAL_LIMITS = (63.0, 8.0, 10.0)
 DEGRADED_LIMITS = (30.0, 3.0, 10.0)
@@ -15,6 +16,13 @@ WARN = lib.FAULT_GNSS_A_WRONG_SIZE
 DEGRADE = lib.FAULT_GNSS_A_TIMEOUT
 SAFE_STOP = lib.FAULT_IMU_TIMEOUT
 FULL_BRAKE = lib.FAULT_MISC_REPORT_MISSING
+
+
+SHARES = {
+    fault.id: (fault.speed_percent, fault.acceleration_percent)
+    for fault in load_faults()
+    if fault.speed_percent is not None and fault.acceleration_percent is not None
+}
 
 
 class Ssm:
@@ -60,6 +68,13 @@ class Ssm:
     def limits(self) -> tuple[float, float, float]:
         limits = self.out.limits
         return (limits.max_speed, limits.max_acceleration, limits.max_deceleration)
+
+
+def shared_limits(*faults: int) -> Any:
+    """What these faults leave of the degraded limits, by the table's source."""
+    speed = min(SHARES[fault][0] for fault in faults) / 100.0
+    acceleration = min(SHARES[fault][1] for fault in faults) / 100.0
+    return pytest.approx((DEGRADED_LIMITS[0] * speed, DEGRADED_LIMITS[1] * acceleration, DEGRADED_LIMITS[2]), rel=1e-6)
 
 
 def nothing_allowed(out: Any) -> bool:
@@ -133,6 +148,38 @@ def test_degrades_and_recovers() -> None:
     assert ssm.step() == lib.SSM_NOMINAL
 
 
+@pytest.mark.parametrize("fault", sorted(SHARES), ids=lambda fault: load_faults()[fault - 1].name)
+def test_every_fault_has_its_own_limits(fault: int) -> None:
+    ssm = Ssm().driving()
+    row = lib.fault_table[fault]
+    assert ssm.step(fault, count=row.debounce_cycles) == lib.SSM_DEGRADED
+    assert ssm.limits == shared_limits(fault)
+    assert 0.0 < ssm.limits[0] < NOMINAL_LIMITS[0]
+    assert 0.0 < ssm.limits[1] < NOMINAL_LIMITS[1]
+    if row.latch == lib.FAULT_LATCH_WHILE_PRESENT:
+        ssm.step(count=row.clear_cycles - 1)
+        assert ssm.limits == shared_limits(fault), "the limits stay until the fault clears"
+        ssm.step()
+        assert ssm.limits == NOMINAL_LIMITS
+
+
+def test_of_two_faults_the_least_share_counts_and_one_that_clears_gives_its_own_back() -> None:
+    mild, slow, weak = lib.FAULT_GNSS_A_TIMEOUT, lib.FAULT_BRAKE_REPORT_STUCK, lib.FAULT_ACCELERATOR_REPORT_MISSING
+    assert SHARES[slow][0] < SHARES[weak][0], "each of the two has one of the least shares"
+    assert SHARES[slow][1] > SHARES[weak][1]
+    ssm = Ssm().driving()
+    ssm.step(mild, slow, weak, count=lib.fault_table[slow].debounce_cycles)
+    assert ssm.limits == shared_limits(slow, weak)
+    assert ssm.step(mild, slow, WARN, count=lib.fault_table[weak].clear_cycles - 1) == lib.SSM_DEGRADED
+    assert ssm.limits == shared_limits(slow, weak)
+    ssm.step(mild, slow, WARN)
+    assert ssm.limits == shared_limits(slow)
+    ssm.step(mild, count=lib.fault_table[slow].clear_cycles)
+    assert ssm.limits == shared_limits(mild)
+    assert ssm.step(count=lib.fault_table[mild].clear_cycles) == lib.SSM_NOMINAL
+    assert ssm.limits == NOMINAL_LIMITS
+
+
 def test_degraded_driving_not_allowed_becomes_a_safe_stop() -> None:
     for fault in (DEGRADE, lib.FAULT_LQR_INVALID):
         ssm = Ssm().driving()
@@ -197,7 +244,7 @@ def test_controllers_in_order_then_full_brake() -> None:
     ):
         assert ssm.step(fault) == lib.SSM_DEGRADED
         assert ssm.out.controller == controller
-        assert ssm.limits == DEGRADED_LIMITS
+        assert ssm.limits == shared_limits(fault)
     assert ssm.step(lib.FAULT_PURE_PURSUIT_INVALID) == lib.SSM_FULL_BRAKE
     assert ssm.out.controller == lib.CONTROL_NONE
     ssm.input.standing_still = True
