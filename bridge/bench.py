@@ -51,6 +51,30 @@ class Progress:
     station: float
 
 
+@dataclass
+class EcuClock:
+    """An ECU's own clock: it says when a tick is due, and what time it is then.
+
+    Attributes
+    ----------
+    offset_us : own time less simulated time.
+    ticks : in this minor frame; another number than one when the clock runs fast or slow.
+    """
+
+    offset_us: int = 0
+    ticks: int = 1
+
+    def times(self, now_us: int) -> range:
+        """Own times of the ticks of the minor frame that begins now."""
+        first_us = now_us + self.offset_us
+        return range(first_us, first_us + self.ticks * TICK_US, TICK_US)
+
+    def catch_up(self) -> None:
+        """Go on from the last minor frame, in which there was not one tick, to one with one."""
+        self.offset_us += (self.ticks - 1) * TICK_US
+        self.ticks = 1
+
+
 class Bench:
     """One car on one road, from power-on, advanced tick by tick.
 
@@ -68,6 +92,7 @@ class Bench:
     silent : stations without power: they neither hear nor send, an ECU does not tick. A silent Raptor's outputs fall
         off; a silent Space Drive's motors stay where they are.
     stalled : stations that do not tick: what they receive waits, their outputs stay as they are.
+    clocks : by ECU.
     now_us : start of the next tick.
     """
 
@@ -100,6 +125,7 @@ class Bench:
         self.space_drive: Any = ffi.new("space_drive *")
         for station in (Station.OBC, Station.RAPTOR, Station.SPACE_DRIVE):
             self.power_on(station)
+        self.clocks = {station: EcuClock() for station in (Station.OBC, Station.RAPTOR, Station.SPACE_DRIVE)}
         self.silent: set[Station] = set()
         self.stalled: set[Station] = set()
         self.now_us = 0
@@ -237,19 +263,22 @@ class Bench:
 
         # ECUs.
         if self._speaks(Station.OBC):
-            self.lost_in_outboxes += lib.bench_obc_tick(network.handle, self.obc, now_us)
+            for own_us in self.clocks[Station.OBC].times(now_us):
+                self.lost_in_outboxes += lib.bench_obc_tick(network.handle, self.obc, own_us)
         network.transmit(Bus.CAN1, Bus.CAN_A)
         if self._speaks(Station.RAPTOR):
-            self.lost_in_outboxes += lib.bench_raptor_tick(
-                network.handle, self.raptor, now_us, wiring.raptor_in, wiring.raptor_out
-            )
+            for own_us in self.clocks[Station.RAPTOR].times(now_us):
+                self.lost_in_outboxes += lib.bench_raptor_tick(
+                    network.handle, self.raptor, own_us, wiring.raptor_in, wiring.raptor_out
+                )
         elif Station.RAPTOR in self.silent:
             wiring.release_raptor()
         network.transmit(Bus.CAN1, Bus.CAN3)
         if self._speaks(Station.SPACE_DRIVE):
-            self.lost_in_outboxes += lib.bench_space_drive_tick(
-                network.handle, self.space_drive, now_us, wiring.space_drive_in, wiring.space_drive_out
-            )
+            for own_us in self.clocks[Station.SPACE_DRIVE].times(now_us):
+                self.lost_in_outboxes += lib.bench_space_drive_tick(
+                    network.handle, self.space_drive, own_us, wiring.space_drive_in, wiring.space_drive_out
+                )
         network.transmit(Bus.CAN3)
         network.end_tick()
         if self._taps is not None:

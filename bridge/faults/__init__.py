@@ -1,7 +1,7 @@
 """Fault injection: what goes wrong, when, and what came of it. See docs/injection.md."""
 
 from bridge.faults.car import ActuatorStuck, BrakeFade, EngineStall, GripLoss
-from bridge.faults.ecus import Hang, PowerLoss, Reset, Slow
+from bridge.faults.ecus import ClockDrift, Hang, PowerLoss, Reset, Slow
 from bridge.faults.fault import BenchFault, Fault, FrameFault, InputFault
 from bridge.faults.frames import (
     Babble,
@@ -12,6 +12,8 @@ from bridge.faults.frames import (
     Drop,
     Duplicate,
     Late,
+    Masquerade,
+    Partition,
     Reorder,
     Replay,
     Silent,
@@ -42,6 +44,7 @@ __all__ = [
     "BenchFault",
     "BrakeFade",
     "BusError",
+    "ClockDrift",
     "Corrupt",
     "Deaf",
     "Delay",
@@ -60,11 +63,13 @@ __all__ = [
     "Injection",
     "InputFault",
     "Late",
+    "Masquerade",
     "MemoryAltered",
     "Noise",
     "Offset",
     "Onset",
     "ParameterAltered",
+    "Partition",
     "PowerLoss",
     "Reliability",
     "Reorder",

@@ -1,4 +1,4 @@
-"""Faults of computers: reset, power loss, hang, slowness."""
+"""Faults of computers: reset, power loss, hang, slowness, a clock that drifts."""
 
 from __future__ import annotations
 
@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 
 #: Stations that run firmware, and so have a power-on state.
 ECUS = (Station.OBC, Station.RAPTOR, Station.SPACE_DRIVE)
+
+_MILLION = 1_000_000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,6 +60,33 @@ class PowerLoss(EcuFault):
     def end(self, bench: Bench, memory: Memory) -> None:
         bench.silent.discard(self.station)
         bench.power_on(self.station)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ClockDrift(EcuFault):
+    """The ECU's clock runs fast or slow: it ticks more or less often, and takes each for 10 ms.
+
+    What it has gained or lost stays when the fault is over. Counted are the ticks too many or too few.
+
+    Attributes
+    ----------
+    ppm : parts per million, above 0 fast.
+    """
+
+    kind = "clock_drift"
+    ppm: int = parameter(minimum=-900_000, maximum=1_000_000)
+
+    def tick(self, bench: Bench, memory: Memory) -> int:
+        clock = bench.clocks[self.station]
+        clock.catch_up()
+        gained = memory.kept.get("gained", 0) + self.ppm
+        whole = int(gained / _MILLION)  # towards zero
+        memory.kept["gained"] = gained - whole * _MILLION
+        clock.ticks = 1 + whole
+        return abs(whole)
+
+    def end(self, bench: Bench, memory: Memory) -> None:
+        bench.clocks[self.station].catch_up()
 
 
 @dataclass(frozen=True, kw_only=True)

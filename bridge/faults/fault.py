@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from dbc.codec import Codec
+from dbc.codec import Codec, MessageCodec
 from dbc.errors import CodecError
-from dbc.frames import Frame
+from dbc.frames import FRAME_STRUCT, Frame
 
 if TYPE_CHECKING:
     from bridge.bench import Bench
@@ -176,3 +176,15 @@ def _show(value: object) -> str:
     if isinstance(value, Enum):
         return value.name
     return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def with_values(codec: MessageCodec, frame: Frame, change: Callable[[dict[str, float]], None]) -> Frame:
+    """A frame of a message with other values, its counter as it was or as changed, its CRC right."""
+    values = dict(zip(codec.signals, codec.decode(frame.data), strict=True))
+    change(values)
+    limited = []
+    for name, value in values.items():
+        low, high = codec.limits(name)
+        limited.append(min(max(value, low), high))
+    altered = frame._replace(data=codec.encode(*limited))
+    return Frame._make(FRAME_STRUCT.unpack(codec.seal(altered.pack())))

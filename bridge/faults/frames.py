@@ -9,8 +9,21 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from bridge._native import ffi, lib
-from bridge.faults.fault import BenchFault, FrameFault, Memory, Selection, frames_from, frames_of, parameter
+from bridge.faults.fault import (
+    BenchFault,
+    FrameFault,
+    Memory,
+    Selection,
+    check_range,
+    frames_from,
+    frames_of,
+    parameter,
+    with_values,
+)
 from dbc.buses import Bus, Station
 from dbc.codec import Codec
 from dbc.errors import CodecError
@@ -160,6 +173,97 @@ class WrongIdentifier(_StreamFault):
 
     def alter(self, frame: Frame, memory: Memory) -> list[Frame]:
         return [frame._replace(id=self.identifier, flags=frame.flags & ~1)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Masquerade(FrameFault, BenchFault):
+    """Another station sends a message in the place of its owner, with a counter that moves and a CRC that fits.
+
+    Attributes
+    ----------
+    station : that sends it, whenever the owner would.
+    signal, value : what it says otherwise than the owner, in the unit of the message; the rest is the owner's.
+    owner_heard : the owner's frames go out too, and the other's a tick behind each, with the counter that follows:
+        ahead of the owner's next one, which has the same.
+    """
+
+    kind = "masquerade"
+    message: str
+    station: Station
+    signal: str | None = parameter(default=None)
+    value: float | None = parameter(default=None)
+    owner_heard: bool = parameter(default=False)
+
+    def check(self, database: Codec) -> None:
+        message = database.message(self.message)
+        if self.station == message.sender:
+            raise CodecError(f"masquerade: {self.station.name} is the owner of {self.message}; name another station")
+        if (self.signal is None) != (self.value is None):
+            raise CodecError("masquerade needs both signal and value, or neither")
+        if self.signal is not None and self.value is not None:
+            check_range(f"{self.message}.{self.signal}", self.value, *message.limits(self.signal))
+
+    def selection(self, database: Codec) -> Selection:
+        return frames_of(database, [self.message])
+
+    def alter(self, frame: Frame, memory: Memory) -> list[Frame]:
+        codec = memory.database.message(self.message)
+        if frame.dlc < codec.length:
+            return [frame]
+        counter = codec.facts.counter
+
+        def change(values: dict[str, float]) -> None:
+            if self.owner_heard and counter is not None:
+                values[counter.name] = (values[counter.name] + 1) % (codec.limits(counter.name)[1] + 1)
+            if self.signal is not None and self.value is not None:
+                values[self.signal] = self.value
+
+        forged = with_values(codec, frame, change)._replace(sender=self.station)
+        if not self.owner_heard:
+            return [forged]
+        memory.kept.setdefault("forged", []).append(forged)
+        return [frame]
+
+    def tick(self, bench: Bench, memory: Memory) -> int:
+        forged: list[Frame] = memory.kept.pop("forged", [])
+        for frame in forged:
+            bench.network.forward(frame.pack())
+            bench.network.transmit(Bus(frame.bus))  # at once: two that begin together destroy each other
+        return len(forged)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Partition(FrameFault, BenchFault):
+    """A bus is cut: a station neither hears the others nor is heard; with no station, nobody hears anybody.
+
+    Counted are the frames that are lost; no controller repeats them.
+    """
+
+    kind = "partition"
+    bus: Bus
+    station: Station | None = None
+
+    def selection(self, database: Codec) -> Selection:
+        def select(frames: NDArray[np.void]) -> NDArray[np.bool_]:
+            chosen: NDArray[np.bool_] = frames["bus"] == self.bus
+            return chosen if self.station is None else chosen & (frames["sender"] == self.station)
+
+        return select
+
+    def alter(self, frame: Frame, memory: Memory) -> list[Frame]:
+        return []
+
+    def begin(self, bench: Bench, memory: Memory) -> None:
+        apart = 0 if self.station is None else 1 << self.station
+        members = bench.network.handle.members
+        memory.kept["members"] = members[self.bus] & apart
+        members[self.bus] &= ~apart
+
+    def tick(self, bench: Bench, memory: Memory) -> int:
+        return 0
+
+    def end(self, bench: Bench, memory: Memory) -> None:
+        bench.network.handle.members[self.bus] |= memory.kept["members"]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -41,6 +41,7 @@ _TYPES: Mapping[Any, Mapping[str, Any]] = {
     str: {"type": "string", "minLength": 1},
     int: {"type": "integer"},
     float: {"type": "number"},
+    bool: {"type": "boolean"},
     float | int | bool: {"type": ["number", "boolean"]},
     float | str: {"type": ["number", "string"]},
     Station: {"enum": _STATIONS},

@@ -5,34 +5,21 @@ What the bits of a signal cannot hold is limited to what they can.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from difflib import get_close_matches
 
 import numpy as np
 
-from bridge.faults.fault import FrameFault, Memory, Selection, check_range, frames_of, parameter
+from bridge.faults.fault import FrameFault, Memory, Selection, check_range, frames_of, parameter, with_values
 from bridge.sensors.wgs84 import TrackFrame
-from dbc.codec import Codec, MessageCodec
+from dbc.codec import Codec
 from dbc.errors import CodecError
-from dbc.frames import FRAME_STRUCT, Frame
+from dbc.frames import Frame
 from firmware.parameters import encode_operation
 from firmware.tables import load_parameters, parameter_key
 
 #: Sensors by the beginning of the names of their messages.
 SENSORS = ("gnss_a", "gnss_b", "imu")
-
-
-def with_values(codec: MessageCodec, frame: Frame, change: Callable[[dict[str, float]], None]) -> Frame:
-    """A frame of a message with other values, its counter as it was or as changed, its CRC right."""
-    values = dict(zip(codec.signals, codec.decode(frame.data), strict=True))
-    change(values)
-    limited = []
-    for name, value in values.items():
-        low, high = codec.limits(name)
-        limited.append(min(max(value, low), high))
-    altered = frame._replace(data=codec.encode(*limited))
-    return Frame._make(FRAME_STRUCT.unpack(codec.seal(altered.pack())))
 
 
 @dataclass(frozen=True, kw_only=True)

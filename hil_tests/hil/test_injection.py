@@ -12,16 +12,19 @@ from bridge.faults import (
     ActuatorStuck,
     BrakeFade,
     BusError,
+    ClockDrift,
     Drop,
     EngineStall,
     ExecutionTime,
     Freeze,
     GripLoss,
     Hang,
+    Masquerade,
     MemoryAltered,
     Offset,
     Onset,
     ParameterAltered,
+    Partition,
     PowerLoss,
     Reset,
     SensorOutage,
@@ -33,10 +36,12 @@ from bridge.operator import Verdict
 from bridge.wiring import NOMINAL_FRICTION, PLACE_OF_FRICTION
 from dbc.frames import Bus, Station
 from dbc.states import SsmState, SysState
+from firmware.tables import load_faults
 from tools.run import build_bench, chosen_scenario
 
 FULL_BRAKE_PA = 6.0e6
 FULL_BRAKE_KPA = 6000.0
+FAULT = {fault.name: fault.id for fault in load_faults()}
 
 
 def driving(bench: ObservedBench, speed: float = 10.0) -> None:
@@ -306,3 +311,92 @@ def test_what_comes_too_late_is_missed(bench: ObservedBench) -> None:
     first = bench.wait_for("misc_report", 0.05)
     assert 150_000 < first.time_us < 160_000
     assert first.signals["sys_state"] == SysState.PWR_ON
+
+
+# --- a bus that is cut, a clock that drifts, another one in the place of the owner
+
+
+@pytest.mark.expects_faults
+def test_each_layer_stops_the_car_when_its_bus_is_cut(bench: ObservedBench) -> None:
+    """CAN3: the Space Drive by itself, then the computers, which are told of it."""
+    driving(bench)
+    cut = bench.inject(Partition(bus=Bus.CAN3))
+    assert bench.run_to(full_brake(bench), within_s=0.1) <= 70_000
+    assert bench.wait_for("diagnostic_report", 0.1, lambda s: s["est4_sd_comms_loss"] == 1.0)
+    bench.wait_for("ssm_status", 0.1, lambda s: s["ssm_state"] == SsmState.FULL_BRAKE)
+    bench.run_to(lambda: bench.situation.standstill, within_s=5.0)
+    assert cut.count > 0
+
+
+@pytest.mark.expects_faults
+def test_a_raptor_that_is_off_can1_brakes_over_can3(bench: ObservedBench) -> None:
+    driving(bench)
+    begin_us = bench.now_us
+    bench.inject(Partition(bus=Bus.CAN1, station=Station.RAPTOR))
+    full = bench.wait_for("req_brake_pos", 0.2, lambda s: s["contrl_pos_brk"] == 0.0)
+    assert full.time_us - begin_us <= 120_000
+    missed = bench.wait_for("ssm_status", 0.3, lambda s: s["ssm_state"] == SsmState.FULL_BRAKE)
+    assert full.time_us < missed.time_us
+    bench.run_to(full_brake(bench), within_s=0.02)
+
+
+def test_clocks_that_drift_apart_are_borne(bench: ObservedBench) -> None:
+    """A hundred times what crystals do; nobody misses anything, and the executive sees nothing of it."""
+    drifts = [
+        bench.inject(ClockDrift(station=station, ppm=ppm))
+        for station, ppm in ((Station.OBC, 10_000), (Station.RAPTOR, -10_000), (Station.SPACE_DRIVE, 5000))
+    ]
+    bench.run_to(lambda: bench.truth.vx > 10.0)
+    ticks = bench.now_us // 10_000
+    extra = ticks // 100
+    assert extra > 5
+    assert [drift.count for drift in drifts] == [extra, extra, ticks // 200]
+    for drift in drifts:
+        drift.cancel()
+    offsets = [clock.offset_us // 10_000 for clock in bench.clocks.values()]
+    assert offsets == [extra, -extra, ticks // 200]
+    executive = bench.obc.executive
+    assert (executive.frame, executive.missed_frames, executive.late_frames) == (ticks + extra, 0, 0)
+
+
+@pytest.mark.expects_faults("gnss_a_low_rate", "gnss_b_low_rate", "imu_low_rate")
+def test_an_onboard_computer_that_runs_fast_sees_slow_sensors(bench: ObservedBench) -> None:
+    """20 and 100 samples a second are 14.3 and 71.4 by its clock; it wants 15 and 80."""
+    driving(bench)
+    drift = bench.inject(ClockDrift(station=Station.OBC, ppm=400_000))
+    begin, frames = bench.now_us, bench.obc.executive.frame
+    degraded = bench.wait_for("ssm_status", 2.0, lambda s: s["ssm_state"] == SsmState.DEGRADED)
+    assert degraded.time_us - begin > 500_000
+    bench.run_to(lambda: bench.now_us - begin >= 1_000_000)
+    assert bench.obc.executive.frame - frames == 140
+    assert drift.count == 40
+    own_us = bench.clocks[Station.OBC].offset_us
+    drift.cancel()
+    bench.run_for(0.1)
+    assert bench.clocks[Station.OBC].offset_us - own_us <= 10_000, "what was gained stays, and no more is"
+    assert bench.obc.executive.missed_frames == bench.obc.executive.late_frames == 0
+
+
+@pytest.mark.expects_faults
+def test_the_onboard_computer_hears_who_takes_its_place(bench: ObservedBench) -> None:
+    driving(bench)
+    begin_us = bench.now_us
+    angle = {"message": "steering_cmd", "signal": "steering_motor_ang_cmd", "value": 1.0}
+    bench.inject(Masquerade(station=Station.SENSORS, **angle))
+    stopped = bench.wait_for("ssm_status", 0.05, lambda s: s["ssm_state"] == SsmState.FULL_BRAKE)
+    assert stopped.time_us - begin_us < 30_000
+    assert stopped.signals["ssm_worst_fault"] == FAULT["second_computer"]
+
+
+@pytest.mark.expects_faults
+def test_who_knows_the_crc_is_believed(bench: ObservedBench) -> None:
+    """The Space Drive cannot tell; the Raptor sees brakes that do not follow it, and is heard by nobody."""
+    driving(bench)
+    begin_us = bench.now_us
+    third = {"message": "req_brake_pos", "signal": "contrl_pos_brk", "value": float(round(0x4000 * 2 / 3))}
+    bench.inject(Masquerade(station=Station.SENSORS, **third))
+    told = bench.wait_for("diagnostic_report", 0.5, lambda s: s["est1_oos_front_brk"] == 1.0)
+    assert told.time_us - begin_us >= 200_000
+    bench.wait_for("ssm_status", 0.05, lambda s: s["ssm_state"] == SsmState.FULL_BRAKE)
+    bench.run_for(0.5)
+    assert bench.wiring.space_drive_out.brake_pressure_demand == pytest.approx(FULL_BRAKE_PA / 3, rel=0.01)

@@ -26,10 +26,12 @@ from bridge.faults import (
     GnssBias,
     HeartbeatStalled,
     Late,
+    Masquerade,
     Noise,
     Offset,
     Onset,
     ParameterAltered,
+    Partition,
     Reorder,
     Replay,
     Scale,
@@ -295,6 +297,78 @@ def test_wrong_identifier() -> None:
     assert sorted(rest) == sorted(row for row in CLEAN if row not in expected)
 
 
+def test_masquerade_in_the_place_of_the_owner() -> None:
+    """What the owner would have sent, but for the signal; from another station, and right in counter and CRC."""
+    place = request.signals.index("cntrl_pos")
+    fault = Masquerade(message="req_steer_pos", station=Station.SENSORS, signal="cntrl_pos", value=77.0)
+    before, after, injection = befallen(fault, request)
+    assert injection.count == END - BEGIN
+    for owner, forged in zip(before, after, strict=True):
+        values = list(request.decode(owner[6]))
+        values[place] = 77.0
+        tick = owner[0]
+        expected = request.finish(request.frame(*values), tick)[-8:]
+        assert forged == (*owner[:5], Station.SENSORS, expected)
+
+
+def test_masquerade_ahead_of_the_owner_takes_its_next_counter() -> None:
+    rig = Rig()
+    fault = Masquerade(
+        message="steering_cmd", station=Station.RAPTOR, signal="steering_motor_ang_cmd", value=-7.0, owner_heard=True
+    )
+    injection = rig.inject(fault, **DURING)
+    rig.run()
+    forged = [(tick, Station.RAPTOR, -7.0, tick) for tick in range(BEGIN + 1, END)]
+    owners = [(tick, Station.OBC, tick, tick) for tick in range(TICKS)]
+    seen = [(row[0], row[5], *steering.decode(row[6])) for row in rig.frames() if of(steering)(row)]
+    assert seen == sorted([*forged, *owners], key=lambda row: (row[0], row[1] == Station.OBC))
+    assert injection.count == len(forged)
+    assert [row for row in rig.frames() if row[4] & Flag.ERROR] == []
+
+
+def test_masquerade_does_not_befall_a_frame_without_its_content() -> None:
+    rig = Rig()
+    rig.inject(WrongLength(message="steering_cmd", length=1))
+    masquerade = rig.inject(Masquerade(message="steering_cmd", station=Station.RAPTOR))
+    rig.run()
+    assert masquerade.count == 0
+
+
+def hears(rig: Rig, station: Station, codec: Any, sender: Station) -> bool:
+    return any(
+        (frame.bus, frame.id, frame.sender) == (codec.bus, codec.frame_id, sender)
+        for frame in iterate(rig.network.take(station))
+    )
+
+
+def test_partition_of_a_station_is_for_one_bus_in_both_directions() -> None:
+    rig = Rig()
+    rig.run(BEGIN)
+    members = list(rig.network.handle.members)
+    injection = rig.inject(Partition(bus=Bus.CAN1, station=Station.OBC))
+    rig.network.take(Station.OBC)
+    rig.network.take(Station.RAPTOR)
+    rig.tick()
+    assert injection.count == 2, "both commands are lost"
+    rig.network.submit(Station.RAPTOR, database.message("misc_report").frame(*[0.0] * 5))
+    rig.network.transmit(Bus.CAN1)
+    assert {frame.bus for frame in iterate(rig.network.take(Station.OBC))} == {Bus.CAN_A, Bus.CAN_S}
+    assert not hears(rig, Station.RAPTOR, steering, Station.OBC)
+    injection.cancel()
+    assert list(rig.network.handle.members) == members
+    rig.tick()
+    assert hears(rig, Station.RAPTOR, steering, Station.OBC)
+
+
+def test_partition_of_a_whole_bus_leaves_the_others() -> None:
+    rig = Rig()
+    rig.inject(Partition(bus=Bus.CAN3), **DURING)
+    rig.run()
+    gone = [row for row in CLEAN if row[1] == Bus.CAN3 and BEGIN <= row[0] < END]
+    assert gone
+    assert sorted(rig.frames()) == sorted(row for row in CLEAN if row not in gone)
+
+
 def test_silent_station() -> None:
     rig = Rig()
     rig.inject(Silent(station=Station.OBC), **DURING)
@@ -325,6 +399,16 @@ def test_bus_error_without_end_takes_the_sender_off_the_bus_until_it_is_cancelle
     sent = len([row for row in rig.frames() if of(steering)(row)])
     rig.run(40)
     assert len([row for row in rig.frames() if of(steering)(row)]) > sent
+
+
+def test_bus_error_thirty_two_times_is_bus_off_for_a_tenth_of_a_second() -> None:
+    rig = Rig()
+    rig.inject(BusError(message="steering_cmd", errors=32), onset=Onset(Condition(time_us=BEGIN * TICK_US)))
+    rig.run()
+    heard = {row[0] for row in rig.frames() if of(brake)(row)}
+    assert heard.isdisjoint(range(BEGIN + 1, BEGIN + 10))
+    assert heard >= {*range(BEGIN), *range(BEGIN + 11, TICKS)}
+    assert rig.network.handle.buses[Bus.CAN1].nodes[Station.OBC].state == 1
 
 
 def test_babble_wins_the_bus_and_no_other_one() -> None:
