@@ -29,6 +29,7 @@ from bridge.sensors.truth import Truth
 from bridge.surroundings import TICK_US, Ending, EndWatch, ReportedStates, Surroundings
 from bridge.tap import Taps
 from dbc.codec import profile
+from dbc.errors import CodecError, ConfigurationError
 from dbc.frames import Bus, Station
 
 #: Ticks between calls of on_progress: ten per simulated second.
@@ -138,8 +139,11 @@ class Bench:
         misc, report = self._states.misc_report, self._states.ct_report
         self._misc_data = ffi.buffer(self.network.watch(misc.bus, misc.frame_id).frame.data)
         self._ct_data = ffi.buffer(self.network.watch(report.bus, report.frame_id).frame.data)
-        for plan in scenario.faults:
-            self.inject(plan)
+        for place, plan in enumerate(scenario.faults):
+            try:
+                self.inject(plan)
+            except CodecError as error:
+                raise ConfigurationError(scenario.path, f"faults[{place}]", str(error)) from error
 
     @classmethod
     def from_scenario(
@@ -216,7 +220,7 @@ class Bench:
         Raises
         ------
         CodecError
-            When the fault does not fit the messages of the scenario's profile.
+            When the fault does not fit the messages of the scenario's profile, or the plant.
         """
         plan = fault if isinstance(fault, FaultPlan) else FaultPlan(fault=fault, **times)
         injector = self._injector or Injector(self)

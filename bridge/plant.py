@@ -43,6 +43,10 @@ REQUIRED_OUTPUTS = _names("PLANT_OUT_")
 #: Inputs that the bench drives, in the order of ``enum plant_input``.
 REQUIRED_INPUTS = _names("PLANT_IN_")
 
+#: Grip under each wheel as a share of the road's: an FMU that has all four gets them, behind those that it must have.
+WHEELS = ("fl", "fr", "rl", "rr")
+OPTIONAL_INPUTS = tuple(f"wheel_grip_{wheel}" for wheel in WHEELS)
+
 #: FMI types that carry one number, with their C types.
 _NUMBERS: Mapping[str, Any] = {
     "Real": ctypes.c_double,
@@ -169,7 +173,8 @@ class Plant:
 
     Attributes
     ----------
-    inputs : shape (len(required_inputs),); write before `step`.
+    inputs : shape (len(input_names),); write before `step`.
+    input_names : the required inputs, then those of `OPTIONAL_INPUTS` if the FMU has them all.
     outputs : shape (len(output_names),); valid after construction and after each `step`.
     output_names, output_units : the required outputs first, then all other numeric outputs of the FMU.
 
@@ -198,7 +203,9 @@ class Plant:
         self._fmi3 = description.fmiVersion.startswith("3")
         self._gives_state = bool(description.coSimulation.canGetAndSetFMUstate)
         variables = {variable.name: variable for variable in description.modelVariables}
-        inputs = [self._variable(variables, name, "input") for name in required_inputs]
+        optional = OPTIONAL_INPUTS if variables.keys() >= set(OPTIONAL_INPUTS) else ()
+        self.input_names = (*required_inputs, *optional)
+        inputs = [self._variable(variables, name, "input") for name in self.input_names]
         outputs = [self._variable(variables, name, "output") for name in required_outputs]
         outputs += [
             variable

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bridge.faults.fault import InputFault, Memory, parameter
-from bridge.plant import REQUIRED_INPUTS
+from bridge.plant import REQUIRED_INPUTS, WHEELS
 
 #: Inputs of the plant by actuator.
 ACTUATORS = {
@@ -64,10 +64,16 @@ class EngineStall(InputFault):
 
 @dataclass(frozen=True, kw_only=True)
 class GripLoss(InputFault):
-    """All four tyres have a share of their grip: water, oil, marbles. The plant takes no less than 0.01."""
+    """All four tyres, or one, have a share of their grip: water, oil, marbles. The plant takes no less than 0.01."""
 
     kind = "grip_loss"
     factor: float = parameter(minimum=0.01, exclusiveMaximum=1)
+    wheel: str | None = parameter(default=None, enum=list(WHEELS))
+
+    @property
+    def needed_inputs(self) -> tuple[str, ...]:
+        return () if self.wheel is None else (f"wheel_grip_{self.wheel}",)
 
     def drive(self, inputs: NDArray[np.float64], memory: Memory) -> None:
-        inputs[_FRICTION] *= self.factor
+        place = _FRICTION if self.wheel is None else len(REQUIRED_INPUTS) + WHEELS.index(self.wheel)
+        inputs[place] *= self.factor

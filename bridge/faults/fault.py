@@ -93,6 +93,11 @@ class FrameFault(Fault):
 class InputFault(Fault):
     """Changes what gets to the plant."""
 
+    @property
+    def needed_inputs(self) -> tuple[str, ...]:
+        """Inputs that the plant must have besides those that every one has."""
+        return ()
+
     def drive(self, inputs: NDArray[np.float64], memory: Memory) -> None:
         """Change the plant's inputs, in the order of ``enum plant_input``, as the wires have set them."""
         raise NotImplementedError

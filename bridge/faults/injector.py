@@ -13,6 +13,7 @@ from bridge._native import ffi, lib
 from bridge.condition import Trigger
 from bridge.faults.fault import BenchFault, Fault, FrameFault, InputFault, Memory, Selection
 from bridge.faults.plan import FaultPlan
+from bridge.plant import REQUIRED_INPUTS
 from bridge.wiring import NOMINAL_FRICTION, PLACE_OF_FRICTION
 from dbc.codec import MessageCodec, profile
 from dbc.errors import CodecError
@@ -166,9 +167,13 @@ class Injector:
         Raises
         ------
         CodecError
-            When the fault does not fit the messages of the profile.
+            When the fault does not fit the messages of the profile, or the plant.
         """
         plan.check(self._database)
+        if isinstance(plan.fault, InputFault):
+            for name in plan.fault.needed_inputs:
+                if name not in self._bench.plant.input_names:
+                    raise CodecError(f"{plan.fault.kind}: the plant has no input {name!r}")
         seed = self._bench.scenario.seed + len(self.injections) if plan.seed is None else plan.seed
         injection = Injection(plan, seed, self._onset(plan), self._bench)
         self.injections.append(injection)
@@ -193,7 +198,8 @@ class Injector:
 
     def drive(self, inputs: NDArray[np.float64]) -> None:
         """Change what gets to the plant at the end of the tick."""
-        inputs[PLACE_OF_FRICTION] = NOMINAL_FRICTION  # nothing else sets it
+        inputs[PLACE_OF_FRICTION] = NOMINAL_FRICTION  # nothing else sets it, nor the grip under each wheel
+        inputs[len(REQUIRED_INPUTS) :] = NOMINAL_FRICTION
         for injection in self.injections:
             injection.drive(inputs, self._now_us)
 

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from bridge.bench import Bench
 from bridge.condition import Condition
 from bridge.faults import (
     ActuatorStuck,
@@ -16,6 +18,7 @@ from bridge.faults import (
     Drop,
     EngineStall,
     ExecutionTime,
+    FaultPlan,
     Freeze,
     GripLoss,
     Hang,
@@ -33,7 +36,9 @@ from bridge.faults import (
 )
 from bridge.observed_bench import MissedError, ObservedBench
 from bridge.operator import Verdict
+from bridge.plant import REQUIRED_INPUTS
 from bridge.wiring import NOMINAL_FRICTION, PLACE_OF_FRICTION
+from dbc.errors import CodecError, ConfigurationError
 from dbc.frames import Bus, Station
 from dbc.states import SsmState, SysState
 from firmware.tables import load_faults
@@ -213,13 +218,17 @@ def test_actuator_stuck_engine_stall_and_grip(bench: ObservedBench) -> None:
     driving(bench)
     stuck = bench.inject(ActuatorStuck(actuator="steering", value=0.2), for_us=50_000)
     grip = bench.inject(GripLoss(factor=0.4), for_us=50_000)
+    bench.inject(GripLoss(factor=0.3, wheel="fr"), for_us=50_000)
+    grips = slice(len(REQUIRED_INPUTS), None)
     bench.tick()
     assert bench.plant.inputs[0] == 0.2
     assert bench.plant.inputs[PLACE_OF_FRICTION] == pytest.approx(0.4)
+    assert bench.plant.inputs[grips].tolist() == [1.0, 0.3, 1.0, 1.0]
     bench.run_for(0.05)
     assert (stuck.count, grip.count) == (5, 5)
     assert bench.plant.inputs[0] == pytest.approx(bench.wiring.space_drive_out.steer_motor_demand)
     assert bench.plant.inputs[PLACE_OF_FRICTION] == NOMINAL_FRICTION
+    assert bench.plant.inputs[grips].tolist() == [1.0] * 4
     running = bench.plant.output_names.index("engine_running")
     assert bench.plant.outputs[running] == 1.0
     bench.inject(EngineStall())
@@ -275,6 +284,16 @@ def test_execution_time_counts_as_an_overrun_and_wires_read_something_else(bench
     assert wired.brake_pressure_front == pytest.approx(float(bench.plant.outputs[column]), abs=1e5)
     assert wired.safety_switch == switch
     assert front.count == 3
+
+
+def test_grip_of_a_wheel_is_refused_where_the_plant_does_not_know_it(bench: ObservedBench) -> None:
+    bench.plant.input_names = REQUIRED_INPUTS
+    with pytest.raises(CodecError, match=r"^grip_loss: the plant has no input 'wheel_grip_fl'$"):
+        bench.inject(GripLoss(factor=0.3, wheel="fl"))
+    plans = (FaultPlan(fault=GripLoss(factor=0.3)), FaultPlan(fault=GripLoss(factor=0.3, wheel="rr")))
+    with pytest.raises(ConfigurationError) as caught:
+        Bench(bench.surroundings, bench._autonomy, replace(bench.scenario, faults=plans))
+    assert (caught.value.file, caught.value.key) == (str(bench.scenario.path), "faults[1]")
 
 
 def test_altered_parameter_is_noticed_by_the_operator(bench: ObservedBench) -> None:

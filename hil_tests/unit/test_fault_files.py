@@ -75,11 +75,11 @@ EXAMPLES: dict[str, dict[str, Any]] = {
     "actuator_stuck": {"actuator": "brake"},
     "brake_fade": {"factor": 0.4},
     "engine_stall": {},
-    "grip_loss": {"factor": 0.3},
     "reliability": {"node": "planning", "percent": 10.0},
     "memory_altered": {"station": "OBC", "field": "control_output.throttle", "value": "nan", "after": "control"},
     "execution_time": {"task": "control", "extra_us": 5000},
     "wire_altered": {"station": "RAPTOR", "input": "brake_pressure_front", "offset": 1e5},
+    "grip_loss": {"factor": 0.3, "wheel": "rl"},
 }
 
 
@@ -170,6 +170,7 @@ def test_everything_is_read(tmp_path: Path) -> None:
         ({"fault": "masquerade", **STEERING, "station": "OBC"}, "faults[0]", "OBC is the owner of steering_cmd"),
         ({"fault": "masquerade", **ANGLE, "station": "RAPTOR"}, "faults[0]", "both signal and value, or neither"),
         ({"fault": "masquerade", **ANGLE, "station": "RAPTOR", "value": 999}, "faults[0]", "allowed is -512 to 511.5"),
+        ({"fault": "grip_loss", "factor": 0.5, "wheel": "spare"}, "faults[0].wheel", "allowed are fl, fr, rl, rr"),
         ({"fault": "engine_stall", "for_frames": 3}, "faults[0]", "befalls no single frames"),
         ({"fault": "engine_stall", "times": 3}, "faults[0]", "needs every_s"),
         ({"fault": "engine_stall", "when": {}}, "faults[0].when", "is empty; must hold at least one of"),

@@ -12,7 +12,7 @@ import pytest
 from fmpy.fmi2 import FMU2Slave
 from fmpy.fmi3 import FMU3Slave
 
-from bridge.plant import REQUIRED_INPUTS, REQUIRED_OUTPUTS, Plant
+from bridge.plant import OPTIONAL_INPUTS, REQUIRED_INPUTS, REQUIRED_OUTPUTS, Plant
 from bridge.scenario import load_vehicle
 from dbc.errors import PlantError
 from plant_fmu import fmu_path
@@ -109,8 +109,10 @@ def test_start_values_take_effect():
     with Plant(fmu_path(3), VEHICLE | {"x0": 12.0, "y0": -3.0, "yaw0": 1.0}) as plant:
         values = dict(zip(plant.output_names, plant.outputs.tolist(), strict=True))
         assert (values["x"], values["y"], values["yaw"]) == pytest.approx((12.0, -3.0, 1.0))
-        inputs = dict(zip(REQUIRED_INPUTS, plant.inputs.tolist(), strict=True))
+        inputs = dict(zip(plant.input_names, plant.inputs.tolist(), strict=True))
+        assert plant.input_names == (*REQUIRED_INPUTS, *OPTIONAL_INPUTS)
         assert inputs["road_friction"] == 1.0  # the FMU's own start value
+        assert [inputs[name] for name in OPTIONAL_INPUTS] == [1.0] * 4
 
 
 def test_unpacked_files_go_with_the_plant():
@@ -168,6 +170,13 @@ def test_missing_output_and_wrong_causality(tmp_path: Path):
     )
     with pytest.raises(PlantError, match=r"'mass' is a Float64 parameter; needed is one number as output"):
         Plant(fmu_path(3), {}, required_outputs=["mass"])
+
+
+def test_grip_of_single_wheels_is_left_out_where_an_fmu_has_not_all_of_it(tmp_path: Path):
+    with Plant(edited(tmp_path, replace=('"wheel_grip_rl"', '"grip_of_another_name"')), VEHICLE) as plant:
+        assert plant.input_names == REQUIRED_INPUTS
+        assert plant.inputs.shape == (len(REQUIRED_INPUTS),)
+        drive(plant, 5)
 
 
 def test_unknown_start_value():

@@ -244,6 +244,31 @@ def test_slow_and_backward_rolling_stays_finite_and_calm(speed: float) -> None:
         assert all(math.isfinite(float(v)) for v in car.outputs().values())
 
 
+LEFT, RIGHT = ("wheel_grip_fl", "wheel_grip_rl"), ("wheel_grip_fr", "wheel_grip_rr")
+
+
+def braked(inputs: dict[str, Value]) -> tuple[float, float, float]:
+    """Yaw rate, way to the left and speed after half a second with the brake on, from 40 m/s straight ahead."""
+    with Plant({**SYMMETRIC, "v0": 40.0, **inputs}) as car:
+        for _ in range(50):
+            car.step(brake_pressure_demand=1.5e6)
+        return float(car["yaw_rate"]), float(car["y"]), float(car["vx"])
+
+
+def test_grip_of_single_wheels_turns_the_braking_car_to_the_side_that_has_it() -> None:
+    straight, slow_left, slow_right = (braked(dict.fromkeys(side, 0.3)) for side in ((), LEFT, RIGHT))
+    assert straight[:2] == pytest.approx((0.0, 0.0), abs=1e-9)
+    assert slow_left[0] < -0.01, "to the right"
+    assert slow_left[1] < 0.0
+    assert slow_right == pytest.approx((-slow_left[0], -slow_left[1], slow_left[2]), rel=1e-6)
+    assert slow_left[2] > straight[2], "it brakes less"
+
+
+def test_grip_of_all_wheels_is_that_of_the_road() -> None:
+    assert braked(dict.fromkeys(LEFT + RIGHT, 0.5)) == braked({"road_friction": 0.5}) != braked({})
+    assert braked(dict.fromkeys(LEFT + RIGHT, -1.0)) == braked({"road_friction": 0.01}), "it saturates"
+
+
 def test_spin_is_survived() -> None:
     """A hand-brake turn at speed: large slips, backward rolling, then rest. Nothing blows up."""
     with Plant({**SYMMETRIC, "v0": 40.0, "road_friction": 0.5}) as car:

@@ -39,7 +39,7 @@ struct road {
     double cos_bank;
     double sin_grade;
     double cos_grade;
-    double friction;
+    double friction[4]; /**< under each wheel */
 };
 
 /** Speeds of the wheel centres along and across each wheel, m/s. */

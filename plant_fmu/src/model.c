@@ -82,11 +82,12 @@ static struct road road_from_inputs(const struct plant_vars *p)
 {
     const double bank = clamp(p->road_bank, -road_angle_limit, road_angle_limit);
     const double grade = clamp(p->road_grade, -road_angle_limit, road_angle_limit);
-    const struct road road = {.sin_bank = sin(bank),
-                              .cos_bank = cos(bank),
-                              .sin_grade = sin(grade),
-                              .cos_grade = cos(grade),
-                              .friction = clamp(p->road_friction, 0.01, 2.0)};
+    const double grip[WHEELS] = {
+        [FL] = p->wheel_grip_fl, [FR] = p->wheel_grip_fr, [RL] = p->wheel_grip_rl, [RR] = p->wheel_grip_rr};
+    struct road road = {.sin_bank = sin(bank), .cos_bank = cos(bank), .sin_grade = sin(grade), .cos_grade = cos(grade)};
+    for (int i = 0; i < WHEELS; ++i) {
+        road.friction[i] = clamp(p->road_friction * grip[i], 0.01, 2.0);
+    }
     return road;
 }
 
@@ -299,7 +300,7 @@ static void inner_step(struct plant *plant, const struct road *road, double load
             .speed_x = motion.along[i],
             .speed_y = motion.across[i],
             .rim_speed = plant->wheel_speed[i] * (front ? p->tyre_radius_front : p->tyre_radius_rear),
-            .friction = road->friction,
+            .friction = road->friction[i],
             .stiffness_scale = front ? p->tyre_stiffness_scale_front : p->tyre_stiffness_scale_rear,
             .slip_offset = p->oval_asymmetry * p->camber_slip_gain * camber};
         force[i] = tyre_step(&plant->tyre[i], p, &in);
