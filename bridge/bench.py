@@ -135,6 +135,7 @@ class Bench:
         self._taps = Taps(taps) if taps else None
         self._recorder: Recorder | DeferredRecorder | None = None
         self._injector: Injector | None = None
+        self.task_hooks: Any = None  # of `bridge.faults.memory`: they belong to the state
         self._states = ReportedStates(database)
         misc, report = self._states.misc_report, self._states.ct_report
         self._misc_data = ffi.buffer(self.network.watch(misc.bus, misc.frame_id).frame.data)
@@ -237,7 +238,7 @@ class Bench:
         """One minor frame, in the order that never changes."""
         now_us, network, surroundings, wiring = self.now_us, self.network, self.surroundings, self.wiring
         if network.log_half_full:
-            self._drain()
+            self.drain()
         logged = network.logged()
         network.begin_tick(now_us, now_us + TICK_US)
 
@@ -330,6 +331,14 @@ class Bench:
                     on_progress(Progress(self.situation, self.truth.vx, self.station))
         return ending is Ending.FINISHED
 
+    def drain(self) -> None:
+        """Give the frames of the network's log to the monitors and to whoever records."""
+        frames = self.network.drain_log()
+        self.monitor.update(frames)
+        self.safety.update(frames)
+        if self._recorder is not None:
+            self._recorder.add_frames(frames)
+
     def save(self) -> SavedState:
         """The state of everything between two ticks, for `restore`.
 
@@ -338,7 +347,7 @@ class Bench:
         RaceloopError
             When it cannot be saved: the FMU does not give its state, the run is being recorded, or there are taps.
         """
-        self._drain()
+        self.drain()
         self.safety.look()
         return SavedState(self, "bench")
 
@@ -352,7 +361,7 @@ class Bench:
 
     def finish(self) -> Recording | None:
         """Complete the run: the monitors know the last frame, the recording is in place."""
-        self._drain()
+        self.drain()
         self.safety.finish()
         if self._recorder is None:
             return None
@@ -392,10 +401,3 @@ class Bench:
             return station not in self.stalled
         self.network.take(station)
         return False
-
-    def _drain(self) -> None:
-        frames = self.network.drain_log()
-        self.monitor.update(frames)
-        self.safety.update(frames)
-        if self._recorder is not None:
-            self._recorder.add_frames(frames)

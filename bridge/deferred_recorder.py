@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bridge.recorder import Recorder, Recording
+from dbc.frames import FRAME_DTYPE
 
 
 class DeferredRecorder:
@@ -19,6 +20,10 @@ class DeferredRecorder:
     folder : of the recording; made by `finish`.
     names, units : of the plant's outputs.
     profile : that CAN1 has.
+
+    Attributes
+    ----------
+    frames, truth : kept so far, in pieces and by time.
     """
 
     def __init__(self, folder: Path, names: Sequence[str], units: Sequence[str], profile: str) -> None:
@@ -27,7 +32,7 @@ class DeferredRecorder:
         self._units = units
         self._profile = profile
         self.frames: list[NDArray[np.void]] = []
-        self._truth: list[tuple[int, NDArray[np.float64]]] = []
+        self.truth: list[tuple[int, NDArray[np.float64]]] = []
 
     def add_frames(self, frames: NDArray[np.void]) -> None:
         """Keep frames in order of time; array of `FRAME_DTYPE`."""
@@ -35,15 +40,21 @@ class DeferredRecorder:
 
     def add_truth(self, time_us: int, outputs: NDArray[np.float64]) -> None:
         """Keep the plant's outputs at one time."""
-        self._truth.append((time_us, outputs.copy()))
+        self.truth.append((time_us, outputs.copy()))
+
+    def forget(self, until_us: int) -> None:
+        """Drop what was before a time."""
+        frames: NDArray[np.void] = np.concatenate([np.empty(0, FRAME_DTYPE), *self.frames])
+        self.frames[:] = [frames[frames["time_us"] >= max(until_us, 0)]]
+        self.truth[:] = [row for row in self.truth if row[0] >= until_us]
 
     def save_state(self) -> tuple[list[NDArray[np.void]], list[tuple[int, NDArray[np.float64]]]]:
         """What was kept so far, see `bridge.saved_state`."""
-        return self.frames.copy(), self._truth.copy()
+        return self.frames.copy(), self.truth.copy()
 
     def restore_state(self, state: tuple[list[NDArray[np.void]], list[tuple[int, NDArray[np.float64]]]]) -> None:
         """Go on from there."""
-        self.frames[:], self._truth[:] = state
+        self.frames[:], self.truth[:] = state
 
     def finish(self) -> Recording:
         """Write the recording.
@@ -56,11 +67,11 @@ class DeferredRecorder:
         recorder = Recorder(self._folder, self._names, self._units, self._profile)
         for frames in self.frames:
             recorder.add_frames(frames)
-        for time_us, outputs in self._truth:
+        for time_us, outputs in self.truth:
             recorder.add_truth(time_us, outputs)
         return recorder.finish()
 
     def abort(self) -> None:
         """Forget the run."""
         self.frames.clear()
-        self._truth.clear()
+        self.truth.clear()

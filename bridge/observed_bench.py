@@ -11,7 +11,7 @@ from bridge.condition import Condition, Trigger
 from bridge.deferred_recorder import DeferredRecorder
 from dbc.codec import profile
 from dbc.frames import Bus
-from firmware.tables import load_faults
+from firmware.tables import own_faults
 
 #: Longest simulated time that a wait lasts unless the caller says otherwise, s.
 PATIENCE_S = 60.0
@@ -36,12 +36,20 @@ class Seen:
 
 
 class ObservedBench(Bench):
-    """A bench that a test drives; its log is kept in memory until somebody wants it on disk."""
+    """A bench that a test drives; its log is kept in memory until somebody wants it on disk.
+
+    Attributes
+    ----------
+    log : what is kept, from `keep_log` on.
+    """
+
+    log: DeferredRecorder
 
     def keep_log(self, folder: Path) -> None:
         """Keep frames and truth from here on; `finish` writes them to a folder."""
         plant = self.plant
-        self._recorder = DeferredRecorder(folder, plant.output_names, plant.output_units, self.scenario.profile)
+        self.log = DeferredRecorder(folder, plant.output_names, plant.output_units, self.scenario.profile)
+        self._recorder = self.log
 
     def run_to(self, goal: Condition | Callable[[], bool], within_s: float = PATIENCE_S) -> int:
         """Tick until a condition of scenarios, or a function of the test, holds.
@@ -116,8 +124,8 @@ class ObservedBench(Bench):
         faults : that had to happen, by name; no others may. None: any may.
         bus_errors : there may be error frames and lost frames.
         """
-        self._drain()
-        names = {fault.id: fault.name for fault in load_faults()}
+        self.drain()
+        names = {fault.id: fault.name for fault in own_faults()}
         happened = {
             names.get(event.fault_id, str(event.fault_id)): event
             for event in reversed(self.monitor.faults)

@@ -11,6 +11,7 @@ import math
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -197,6 +198,18 @@ def load_faults(path: Path = FAULTS_FILE) -> tuple[Fault, ...]:
     for name in names:
         _require(path, name, names.count(name) == 1, "the name is used twice")
     return faults
+
+
+@cache
+def own_parameters() -> ParameterSchema:
+    """The schema that comes with raceloop, read once; see `load_parameters`."""
+    return load_parameters()
+
+
+@cache
+def own_faults() -> tuple[Fault, ...]:
+    """The faults that come with raceloop, read once; see `load_faults`."""
+    return tuple(load_faults())
 
 
 def _check_parameter(path: Path, parameter: Parameter, units: Iterable[str]) -> None:

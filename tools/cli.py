@@ -50,6 +50,11 @@ def _dispatch(options: argparse.Namespace, console: Console) -> int:
         from tools.safety import safety  # noqa: PLC0415
 
         return safety(options.folder, options.scenario, console)
+    if options.command == "campaign":
+        from tools.campaign import Options, campaign  # noqa: PLC0415
+
+        chosen = Options(options.out, options.workers, options.only, options.restart, options.json, options.junit)
+        return campaign(options.file, chosen, console)
     if options.command == "hub":
         from tools.hub import hub  # noqa: PLC0415
 
@@ -213,6 +218,17 @@ def make_parser() -> argparse.ArgumentParser:
         "folder", nargs="?", type=Path, default=Path("out"), metavar="DIR", help="of the recording (default: out)"
     )
     safety.add_argument("--scenario", metavar="NAME", help="that was driven (default: what summary.json says)")
+
+    campaign = commands.add_parser("campaign", help="inject every fault of a list at every onset of a grid")
+    campaign.add_argument("file", metavar="FILE", help="YAML file, or the name of a shipped campaign")
+    campaign.add_argument(
+        "--out", type=Path, metavar="DIR", help="folder of the results, or of the recording with --only (default: out)"
+    )
+    campaign.add_argument("--workers", type=_count, metavar="N", help="processes (default: one per core)")
+    campaign.add_argument("--only", metavar="ID", help="one run alone, FAULT@ONSET_MS; recorded with --out")
+    campaign.add_argument("--restart", action="store_true", help="begin anew, whatever results there are")
+    campaign.add_argument("--json", type=Path, metavar="FILE", help="write the summary")
+    campaign.add_argument("--junit", type=Path, metavar="FILE", help="write a test case per fault as JUnit XML")
 
     hub = commands.add_parser("hub", help="carry the four buses where the kernel has no CAN")
     hub.add_argument(

@@ -15,10 +15,10 @@ class ProgressBar:
     ----------
     console : to show it on.
     name : of what runs.
-    limit_us : time at which the bar is full.
+    limit : time, us, or count at which the bar is full.
     """
 
-    def __init__(self, console: Console, name: str, limit_us: int) -> None:
+    def __init__(self, console: Console, name: str, limit: int) -> None:
         columns = (
             TextColumn("{task.description}"),
             BarColumn(),
@@ -27,7 +27,7 @@ class ProgressBar:
             TimeElapsedColumn(),
         )
         self._progress = Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
-        self._task = self._progress.add_task(name, total=limit_us, state="")
+        self._task = self._progress.add_task(name, total=limit, state="")
 
     def __enter__(self) -> ProgressBar:
         self._progress.start()
@@ -40,4 +40,8 @@ class ProgressBar:
 
     def update(self, time_us: int, state: str) -> None:
         """Show time and state of the run."""
-        self._progress.update(self._task, completed=time_us, state=f"{time_us * 1e-6:6.1f} s  {state}")
+        self.show(time_us, f"{time_us * 1e-6:6.1f} s  {state}")
+
+    def show(self, completed: int, state: str) -> None:
+        """Show how much is done, in the unit of the limit, and a text."""
+        self._progress.update(self._task, completed=completed, state=state)

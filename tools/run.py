@@ -155,8 +155,8 @@ def run(scenario: Scenario, folder: Path, console: Console, rt_ratio: float | No
             recording = bench.finish()
         assert recording is not None
         whole_s = time.perf_counter() - started
-        offences = _offences(bench)
-        summary = _summary(bench, recording, finished, offences, loop_s, whole_s, folder)
+        offences = refused(bench)
+        summary = run_summary(bench, recording, finished, offences, loop_s, whole_s, folder)
     write_summary(summary, folder / SUMMARY)
     show_summary(summary, console)
     status = conclude(scenario, finished, offences, console)
@@ -175,13 +175,13 @@ def conclude(scenario: Scenario, finished: bool, offences: Sequence[Offence], co
     return ExitStatus.DONE
 
 
-def _offences(bench: Bench) -> list[Offence]:
+def refused(bench: Bench) -> list[Offence]:
     """What the onboard computer has refused in the operation file."""
-    refused = ((result.key, result.status, result.value) for result in bench.operator.offences)
-    return list(decode_results(refused, load_operation(bench.scenario.operation), load_parameters()))
+    answers = ((result.key, result.status, result.value) for result in bench.operator.offences)
+    return list(decode_results(answers, load_operation(bench.scenario.operation), load_parameters()))
 
 
-def _summary(
+def run_summary(
     bench: Bench,
     recording: Recording,
     finished: bool,
@@ -190,6 +190,7 @@ def _summary(
     whole_s: float,
     folder: Path,
 ) -> dict[str, Any]:
+    """Content of `summary.json` of a bench that has finished, with its recording."""
     simulated_s = bench.now_us * 1e-6
     delays = bench.network.delays()
     files = (recording.candump, recording.blf, recording.signals, recording.truth, folder / SUMMARY)

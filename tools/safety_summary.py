@@ -21,6 +21,7 @@ def safety_summary(monitor: SafetyMonitor, until_us: int | None = None) -> dict[
     return {
         "properties": list(monitor.checked),
         "frames": monitor.frames,
+        "excursion_m": monitor.excursion_m,
         "violations": [
             {
                 "property": one.property_id,
@@ -38,6 +39,8 @@ def safety_summary(monitor: SafetyMonitor, until_us: int | None = None) -> dict[
 def show_safety(block: Mapping[str, Any], console: Console) -> None:
     """Print one line when all properties held, else one per occasion."""
     violations, known = block["violations"], properties()
+    if block["excursion_m"] > 0.0:
+        console.print(f"[red]Off the track[/red] by {block['excursion_m']:.2f} m while nobody could steer: no promise")
     if not violations:
         console.print(f"Safety: {len(block['properties'])} properties held on {block['frames']} frames")
         return

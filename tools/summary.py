@@ -19,7 +19,7 @@ from bridge.faults import Injection
 from bridge.monitor import FaultEvent, RunMonitor
 from dbc.buses import DEFAULT_PROFILE
 from dbc.errors import RaceloopError
-from firmware.tables import load_faults
+from firmware.tables import own_faults
 from tools.realtime_summary import show_real_time
 from tools.recorded import Recorded
 from tools.safety_summary import show_safety
@@ -117,7 +117,7 @@ def _seconds(time_us: int | None) -> float | None:
 
 def _faults(events: Iterable[FaultEvent]) -> list[dict[str, Any]]:
     """Every fault that became active, with when it cleared."""
-    table = {fault.id: fault for fault in load_faults()}
+    table = {fault.id: fault for fault in own_faults()}
     faults: list[dict[str, Any]] = []
     active: dict[int, dict[str, Any]] = {}
     for event in events:

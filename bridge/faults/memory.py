@@ -7,7 +7,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from difflib import get_close_matches
 from typing import TYPE_CHECKING, Any
-from weakref import WeakKeyDictionary
 
 from bridge._native import ffi, lib
 from bridge.faults.ecus import EcuFault
@@ -152,9 +151,6 @@ class _TaskHooks:
             bench.obc.executive.clock = ffi.NULL
 
 
-_HOOKS: WeakKeyDictionary[Bench, _TaskHooks] = WeakKeyDictionary()
-
-
 @dataclass(frozen=True, kw_only=True)
 class MemoryAltered(EcuFault):
     """A field in the memory of an ECU holds another value, as after a fault of its memory or its processor.
@@ -193,12 +189,14 @@ class MemoryAltered(EcuFault):
             if record.runs != runs:
                 place.write(owner, value)
 
-        _HOOKS.setdefault(bench, _TaskHooks()).add(bench, write)
+        if bench.task_hooks is None:
+            bench.task_hooks = _TaskHooks()
+        bench.task_hooks.add(bench, write)
         return 1
 
     def end(self, bench: Bench, memory: Memory) -> None:
         if self.after is not None:
-            _HOOKS[bench].release(bench)
+            bench.task_hooks.release(bench)
 
     def _place(self) -> Field:
         return Field(_STRUCTS[self.station], self.field)

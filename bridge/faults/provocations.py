@@ -23,7 +23,7 @@ from dbc.buses import Station
 from dbc.codec import Codec, MessageCodec
 from dbc.errors import ConfigurationError
 from firmware.parameters import load_operation
-from firmware.tables import CYCLE_MS, load_parameters
+from firmware.tables import CYCLE_MS, own_parameters
 
 LAYERS = ("ssm", "raptor", "space_drive")
 
@@ -114,7 +114,7 @@ class Provoker:
 
     def __init__(self, operation: Path, database: Codec) -> None:
         self._database = database
-        self._units = {row.name: row.unit for row in load_parameters().parameters}
+        self._units = {row.name: row.unit for row in own_parameters().parameters}
         self._operation = dict(load_operation(operation))
 
     def condition_us(self, provocation: Provocation, first_us: int) -> tuple[int, int]:
@@ -321,7 +321,7 @@ def _check_limit(path: Path, key: str, name: str) -> None:
             if not hasattr(value, part):
                 raise ConfigurationError(path, key, f"the configuration of {layer} has no {rest!r}")
             value = getattr(value, part)
-    elif name not in {row.name for row in load_parameters().parameters}:
+    elif name not in {row.name for row in own_parameters().parameters}:
         raise ConfigurationError(path, key, f"no operation parameter is called {name!r}")
 
 

@@ -16,7 +16,7 @@ from dbc.codec import Codec
 from dbc.errors import CodecError
 from dbc.frames import Frame
 from firmware.parameters import encode_operation
-from firmware.tables import load_parameters, parameter_key
+from firmware.tables import own_parameters, parameter_key
 
 #: Sensors by the beginning of the names of their messages.
 SENSORS = ("gnss_a", "gnss_b", "imu")
@@ -253,7 +253,7 @@ class ParameterAltered(FrameFault):
     value: float | int | bool = parameter()
 
     def check(self, database: Codec) -> None:
-        names = [row.name for row in load_parameters().parameters]
+        names = [row.name for row in own_parameters().parameters]
         if self.name not in names:
             nearest = get_close_matches(self.name, names, n=1, cutoff=0.0)[0]
             raise CodecError(f"no parameter is called {self.name!r}; the nearest is {nearest!r}")
@@ -264,5 +264,5 @@ class ParameterAltered(FrameFault):
         return lambda frames: of_message(frames) & (frames["data"][:, :3] == key).all(axis=1)
 
     def alter(self, frame: Frame, memory: Memory) -> list[Frame]:
-        altered = encode_operation([(self.name, self.value)], load_parameters())[0]
+        altered = encode_operation([(self.name, self.value)], own_parameters())[0]
         return [frame._replace(data=altered[-8:])]

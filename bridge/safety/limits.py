@@ -14,11 +14,14 @@ from pathlib import Path
 from bridge.scenario import Scenario, load_vehicle
 from dbc.errors import ConfigurationError
 from firmware.parameters import load_operation
-from firmware.tables import CYCLE_MS, Parameter, load_faults, load_parameters
+from firmware.tables import CYCLE_MS, Parameter, own_faults, own_parameters
 
 #: One minor frame, and what a value may take from one station to the next one's frame: two of them.
 CYCLE_US = 1000 * CYCLE_MS
 PASSING_US = 2 * CYCLE_US
+
+#: Frames of one tick on two buses may end in either order, by so much.
+WITHIN_TICK_US = 1_000
 
 #: Accelerator and brake together: so much of each, and so long.
 PEDAL_THROTTLE_PERCENT = 10.0
@@ -27,6 +30,11 @@ PEDAL_US = 500_000
 
 #: Position counts on CAN3: straight ahead or no brake; the middle of the scale, whose lower end is full brake.
 NEUTRAL_COUNTS = 0x4000
+
+#: The steering follows its requests when it is so near to one of the last requests, and has not for less than this.
+STEERING_LAG_US = 150_000
+STEERING_COUNTS = 64
+STEERING_ASTRAY_US = 100_000
 
 #: Time constants after which a first-order lag has settled, and what is then left of a step.
 _SETTLED_CONSTANTS = 4.0
@@ -167,7 +175,7 @@ def _accepted(parameter: Parameter, value: object) -> float:
 
 @cache
 def _parameters() -> Mapping[str, Parameter]:
-    return {parameter.name: parameter for parameter in load_parameters().parameters}
+    return {parameter.name: parameter for parameter in own_parameters().parameters}
 
 
 @cache
@@ -184,7 +192,7 @@ def _full_brake_faults() -> Mapping[int, int]:
     """The deadline counts from the condition; a fault_event comes when the debounce time is over."""
     faults: Iterable[tuple[int, int]] = (
         (fault.id, 1000 * max(fault.deadline_ms - fault.debounce_ms, CYCLE_MS))
-        for fault in load_faults()
+        for fault in own_faults()
         if fault.reaction == "full_brake"
     )
     return dict(faults)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from bridge.safety.frame_rules import CountersAdvance, FrameBlock, FrameBreach, FrameRule, SentByOwner
 from bridge.safety.limits import SafetyLimits
-from bridge.safety.properties import PROPERTIES, TRUTH, Breach, Property, Scene
+from bridge.safety.properties import PROPERTIES, TRUTH, Breach, OnTrack, Property, Scene
 from bridge.safety.series import Series
 from bridge.safety.statement import Statement
 from bridge.safety.track import TrackEdges
@@ -69,6 +69,7 @@ class SafetyMonitor:
     violations : the occasions so far, in order of time within a property; complete after `finish`.
     broken : by id of a property, rows that broke it.
     frames : looked at so far.
+    limits : as given.
     checked : ids of the properties that are.
     """
 
@@ -84,6 +85,7 @@ class SafetyMonitor:
         self._database = database
         has_truth = set(TRUTH) <= set(truth_names)
         self._truth_columns = np.array([truth_names.index(name) for name in TRUTH] if has_truth else [], np.intp)
+        self.limits = limits
         self._properties = [
             kind()
             for kind in PROPERTIES
@@ -119,6 +121,11 @@ class SafetyMonitor:
         self._pending_count += len(frames)
         if self._pending_count >= BLOCK_FRAMES:
             self._look(final=False)
+
+    @property
+    def excursion_m(self) -> float:
+        """How far the car was beyond the edges of the track while nobody could steer it, m; not part of SAFE-15."""
+        return max((one.excursion_m for one in self._properties if isinstance(one, OnTrack)), default=0.0)
 
     def look(self) -> None:
         """Look at what there is, but for what needs to know more first."""

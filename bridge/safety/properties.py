@@ -23,6 +23,10 @@ from bridge.safety.limits import (
     PEDAL_BRAKE_KPA,
     PEDAL_THROTTLE_PERCENT,
     PEDAL_US,
+    STEERING_ASTRAY_US,
+    STEERING_COUNTS,
+    STEERING_LAG_US,
+    WITHIN_TICK_US,
     SafetyLimits,
 )
 from bridge.safety.series import Column, Series, Times, lasting
@@ -61,6 +65,8 @@ SSM, FAULT, BRAKE, THROTTLE, STEERING = (
 )
 GEAR, CT, SYS, PEDAL = "gear_shift_cmd", "ct_report", "misc_report", "accelerator_report"
 BRAKE_REQUEST, STEERING_REQUEST, BRAKE_STATUS = "req_brake_pos", "req_steer_pos", "stat_brk_1"
+STEERING_POSITIONS = ("calb_steer_pos_1", "calb_steer_pos_2", "calb_steer_pos_3")
+STEERING_STATUS = ("stat_steer_1", "stat_steer_2", "stat_steer_3")
 
 TRUTH = ("x", "y", "vx", "vy", "throttle_position", "brake_pressure_front", "brake_pressure_rear")
 """Outputs of the plant that properties look at."""
@@ -177,7 +183,7 @@ class FullBrakeCommanded(Property):
         held = _twice(~among(ssm["ssm_state"], _RELEASED))
         for series, bad, signal in ((brake, weak, _brake_signal(scene)), (throttle, open_, "acc_pedal_cmd")):
             places = series.places(ssm.times)
-            broken = held & (places >= 0) & _picked(bad, places)
+            broken = held & _in_force(series, ssm.times) & _picked(bad, places)
             yield Breach(
                 ssm, broken, _with_state(ssm, "ssm_state", SsmState, _held_value(series, signal, places)), allowed
             )
@@ -209,7 +215,10 @@ class FullBrakeRequested(Property):
         request, full = scene.series[BRAKE_REQUEST], scene.limits.brakes.full_kpa
         times, asked = request.times, _request_kpa(request["contrl_pos_brk"], full)
         required = np.zeros(len(times))
-        commanded = scene.series[BRAKE].lowest(_brake_signal(scene), times, PASSING_US + CYCLE_US)
+        # Each bus has its own clock within a tick: the request may end before the command that it follows.
+        commanded = scene.series[BRAKE].lowest(
+            _brake_signal(scene), times + WITHIN_TICK_US, PASSING_US + CYCLE_US + WITHIN_TICK_US
+        )
         # What cannot be commanded is not followed; the Raptor stops the car for it.
         commanded = np.where(commanded > full, 0.0, commanded)
         required = np.fmax(required, commanded)
@@ -454,7 +463,7 @@ class NoDriveBeforeLaunch(Property):
         ):
             series, demands = scene.series[message], scene.series[demand]
             places = demands.places(series.times)
-            broken = _twice(~among(series[state], allowed)) & (places >= 0)
+            broken = _twice(~among(series[state], allowed)) & _in_force(demands, series.times)
             broken &= _picked(demands[signal] > _PERCENT, places)
             yield Breach(
                 series,
@@ -549,13 +558,29 @@ class CtStateLatched(_Terminal):
 
 
 class OnTrack(Property):
-    """The car stays on the road."""
+    """The car stays on the road, as long as somebody can steer it.
+
+    Attributes
+    ----------
+    excursion_m : how far the car was beyond an edge while nobody could; 0 when never.
+    """
 
     id = "SAFE-15"
-    text = "The car's centre of gravity stays between the edges of the track."
-    source = "the widths of the track file"
+    text = (
+        "The car's centre of gravity stays between the edges of the track, as long as it is steered: the commands of "
+        "the onboard computer and the requests of the Raptor go on, and the steering follows them."
+    )
+    source = (
+        "the widths of the track file; GenMsgTimeout in the DBC files; STEERING_LAG_US, STEERING_COUNTS and "
+        "STEERING_ASTRAY_US in bridge/safety/limits.py"
+    )
+    messages = (STEERING, STEERING_REQUEST, *STEERING_POSITIONS, *STEERING_STATUS)
     truth = True
     track = True
+
+    def __init__(self) -> None:
+        self.excursion_m = 0.0
+        self._unsteered = False
 
     def check(self, scene: Scene) -> Iterator[Breach]:
         """See `Property`."""
@@ -565,9 +590,32 @@ class OnTrack(Property):
         begin = max(fresh - 1, 0)
         beyond = np.full(len(truth.times), -np.inf)
         beyond[begin:] = scene.edges.beyond(truth["x"][begin:], truth["y"][begin:])
+        outside = beyond > 0.0
+        unsteered = self._without_steering(scene)
+        lost = outside & unsteered
+        if lost.any():
+            self.excursion_m = max(self.excursion_m, float(beyond[lost].max()))
         yield Breach(
-            truth, beyond > 0.0, lambda row: f"{beyond[row]:.2f} m beyond the edge of the track", "between its edges"
+            truth,
+            outside & ~unsteered,
+            lambda row: f"{beyond[row]:.2f} m beyond the edge of the track",
+            "between its edges",
         )
+
+    def _without_steering(self, scene: Scene) -> Rows:
+        """Rows of the truth at which nobody steers, or has been able to since the car last stood."""
+        truth = scene.truth
+        stands = np.hypot(truth["vx"], truth["vy"]) < scene.limits.standstill_speed
+        steered = (
+            _counts(scene, STEERING, truth.times)
+            & _counts(scene, STEERING_REQUEST, truth.times)
+            & _follows(scene, truth.times)
+        )
+        result = np.zeros(len(truth.times), np.bool_)
+        for row in range(truth.fresh, len(truth.times)):
+            self._unsteered = not stands[row] and (self._unsteered or not steered[row])
+            result[row] = self._unsteered
+        return result
 
 
 PROPERTIES: tuple[type[Property], ...] = (
@@ -595,6 +643,40 @@ def among(column: Column, states: Collection[int]) -> Rows:
     return np.isin(column, [float(state) for state in states])
 
 
+def _counts(scene: Scene, message: str, at: Times) -> Rows:
+    """Times at which a message comes, and its counter moves."""
+    series, counter = scene.series[message], scene.messages[message].facts.counter
+    assert counter is not None
+    moves = np.concatenate(([True], np.diff(series[counter.name]) != 0.0))[: len(series.times)]
+    moved = np.searchsorted(series.times[moves], at, side="right") - 1
+    newest = series.times[moves][np.maximum(moved, 0)] if moves.any() else np.zeros(len(at), np.int64)
+    return (moved >= 0) & (at - newest <= scene.timeout_us(message))
+
+
+def _follows(scene: Scene, at: Times) -> Rows:
+    """Times at which one of the Space Drive's channels takes the requests and the motor is where they want it."""
+    request = scene.series[STEERING_REQUEST]
+    result = np.zeros(len(at), np.bool_)
+    for position, status in zip(STEERING_POSITIONS, STEERING_STATUS, strict=True):
+        series, takes = scene.series[position], scene.series[status]
+        if not len(series.times) or not len(request.times):
+            continue
+        low = request.lowest("cntrl_pos", series.times, STEERING_LAG_US)
+        high = request.highest("cntrl_pos", series.times, STEERING_LAG_US)
+        where = series[scene.messages[position].signals[0]]
+        astray = (where < low - STEERING_COUNTS) | (where > high + STEERING_COUNTS)
+        lost = lasting(astray, series.times) >= STEERING_ASTRAY_US
+        places = series.places(at)
+        result |= (
+            (places >= 0)
+            & ~_picked(lost, places)
+            & (series.age(at) <= scene.timeout_us(position))
+            & (takes.held("ip_sgnl_vald", at) > 0.0)
+            & (takes.age(at) <= scene.timeout_us(status))
+        )
+    return result
+
+
 def _twice(condition: Rows) -> Rows:
     """Rows at which it holds, and at the row before too."""
     return condition & np.concatenate(([False], condition[:-1])) if len(condition) else condition
@@ -604,6 +686,11 @@ def _started_again(column: Column, starts: Collection[int]) -> Rows:
     """Rows that have a state of a start, and the row before another one."""
     starting = among(column, starts)
     return starting & np.concatenate(([False], ~starting[:-1])) if len(column) else starting
+
+
+def _in_force(series: Series, at: Times) -> Rows:
+    """Times at which the newest row is of the last two cycles: one that does not come says nothing of its sender."""
+    return series.age(at) <= PASSING_US
 
 
 def _picked(rows: Rows, places: NDArray[np.intp]) -> Rows:

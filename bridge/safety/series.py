@@ -65,10 +65,17 @@ class Series:
 
     def lowest(self, signal: str, at: Times, span_us: int) -> Column:
         """Lowest value in force within the span before each time; not a number when it begins before the first."""
+        return self._over(np.minimum, signal, at, span_us)
+
+    def highest(self, signal: str, at: Times, span_us: int) -> Column:
+        """Highest value, see `lowest`."""
+        return self._over(np.maximum, signal, at, span_us)
+
+    def _over(self, function: np.ufunc, signal: str, at: Times, span_us: int) -> Column:
         column, first, last = self[signal], self.places(at - span_us), self.places(at)
         result = self._picked(column, first)
         for step in range(1, int((last - first).max(initial=0)) + 1):
-            result = np.minimum(result, column[np.minimum(first + step, last)])
+            result = function(result, column[np.minimum(first + step, last)])
         return result
 
     @staticmethod

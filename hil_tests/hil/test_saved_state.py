@@ -105,7 +105,7 @@ class Run:
         bench.inject(Hang(station=Station.OBC), onset=Onset(Condition(time_us=bench.now_us + 500_000)))
         for _ in range(90):
             bench.tick()
-        bench._drain()
+        bench.drain()
         bench.safety.finish()
 
 

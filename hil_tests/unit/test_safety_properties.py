@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -557,6 +558,104 @@ def test_off_the_track(log: Recording, station: float, beyond: float, breaks: bo
     log.put_truth("x", x, STANDS_US, STANDS_US + 10 * MS)
     log.put_truth("y", y, STANDS_US, STANDS_US + 10 * MS)
     assert (found(log, "SAFE-15") or (None,))[0] == (STANDS_US if breaks else None)
+
+
+def off_the_track(log: Recording, begin_us: int) -> float:
+    """Put the car half a metre off the road for 50 ms while it drives; returns how far it is."""
+    node = round(700.0 / ROAD.centre.spacing)
+    x, y, _ = ROAD.pose_at(node * ROAD.centre.spacing, float(ROAD.width_left[node]) + 0.5)
+    log.put_truth("x", x, begin_us, begin_us + 50 * MS)
+    log.put_truth("y", y, begin_us, begin_us + 50 * MS)
+    return 0.5
+
+
+CHANNELS = (1, 2, 3)
+
+
+def nobody_commands(log: Recording, begin_us: int, end_us: int) -> None:
+    log.drop(log.places("steering_cmd", begin_us, end_us))
+
+
+def commands_stand_still(log: Recording, begin_us: int, end_us: int) -> None:
+    log.put("steering_cmd", "steering_motor_cmd_counter", 7.0, log.places("steering_cmd", begin_us, end_us))
+
+
+def nobody_requests(log: Recording, begin_us: int, end_us: int) -> None:
+    log.drop(log.places("req_steer_pos", begin_us, end_us))
+
+
+def space_drive_is_silent(log: Recording, begin_us: int, end_us: int) -> None:
+    for channel in CHANNELS:
+        log.drop(log.places(f"calb_steer_pos_{channel}", begin_us, end_us))
+
+
+def requests_are_refused(log: Recording, begin_us: int, end_us: int) -> None:
+    for channel in CHANNELS:
+        log.put(f"stat_steer_{channel}", "ip_sgnl_vald", 0.0, log.places(f"stat_steer_{channel}", begin_us, end_us))
+
+
+def motor_is_elsewhere(log: Recording, begin_us: int, end_us: int) -> None:
+    for channel in CHANNELS:
+        signal = f"cur_steer_pos_steering_pos_{channel}"
+        places = log.places(f"calb_steer_pos_{channel}", begin_us, end_us)
+        values = log.values(f"calb_steer_pos_{channel}", signal, places)
+        log.put(f"calb_steer_pos_{channel}", signal, values + 150.0, places)
+
+
+def one_channel_is_silent(log: Recording, begin_us: int, end_us: int) -> None:
+    log.drop(log.places("calb_steer_pos_1", begin_us, end_us))
+
+
+@pytest.mark.parametrize(
+    "loss",
+    [
+        nobody_commands,
+        commands_stand_still,
+        nobody_requests,
+        space_drive_is_silent,
+        requests_are_refused,
+        motor_is_elsewhere,
+    ],
+)
+def test_off_the_track_while_nobody_can_steer(log: Recording, loss: Callable[[Recording, int, int], None]) -> None:
+    loss(log, DRIVES_US, END_US)
+    distance = off_the_track(log, DRIVES_US + 700 * MS)
+    safety = judged(log)
+    assert "SAFE-15" not in safety.broken
+    assert safety.excursion_m == pytest.approx(distance, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("loss", "for_us"),
+    [
+        (one_channel_is_silent, END_US),
+        (nobody_commands, 90 * MS),
+        (commands_stand_still, 90 * MS),
+        (nobody_requests, 40 * MS),
+        (space_drive_is_silent, 40 * MS),
+        (motor_is_elsewhere, 60 * MS),
+    ],
+)
+def test_off_the_track_though_somebody_steers(
+    log: Recording, loss: Callable[[Recording, int, int], None], for_us: int
+) -> None:
+    """What is shorter than the time-out takes the steering away from nobody."""
+    loss(log, DRIVES_US, DRIVES_US + for_us)
+    off_the_track(log, DRIVES_US + 700 * MS)
+    safety = judged(log)
+    assert safety.broken["SAFE-15"] > 0
+    assert safety.excursion_m == 0.0
+
+
+def test_a_car_that_could_not_be_steered_must_stay_on_the_track_once_it_stood(log: Recording) -> None:
+    """Nor is it excused while it stands."""
+    nobody_commands(log, DRIVES_US, DRIVES_US + 300 * MS)
+    for name in ("vx", "vy"):
+        log.put_truth(name, 0.0, DRIVES_US + 500 * MS, DRIVES_US + 520 * MS)
+    off_the_track(log, DRIVES_US + 700 * MS)
+    safety = judged(log)
+    assert safety.broken["SAFE-15"] > 0
+    assert safety.excursion_m == 0.0
 
 
 # --- SAFE-16, SAFE-17: frames ---------------------------------------------------------------------------------------
