@@ -591,7 +591,7 @@ class OnTrack(Property):
         beyond = np.full(len(truth.times), -np.inf)
         beyond[begin:] = scene.edges.beyond(truth["x"][begin:], truth["y"][begin:])
         outside = beyond > 0.0
-        unsteered = self._without_steering(scene)
+        unsteered = self._without_steering(scene, outside)
         lost = outside & unsteered
         if lost.any():
             self.excursion_m = max(self.excursion_m, float(beyond[lost].max()))
@@ -602,10 +602,10 @@ class OnTrack(Property):
             "between its edges",
         )
 
-    def _without_steering(self, scene: Scene) -> Rows:
-        """Rows of the truth at which nobody steers, or has been able to since the car last stood."""
+    def _without_steering(self, scene: Scene, outside: Rows) -> Rows:
+        """Rows of the truth at which nobody steers, or has been able to since the car last stood on the track."""
         truth = scene.truth
-        stands = np.hypot(truth["vx"], truth["vy"]) < scene.limits.standstill_speed
+        safe = ~outside & (np.hypot(truth["vx"], truth["vy"]) < scene.limits.standstill_speed)
         steered = (
             _counts(scene, STEERING, truth.times)
             & _counts(scene, STEERING_REQUEST, truth.times)
@@ -613,7 +613,7 @@ class OnTrack(Property):
         )
         result = np.zeros(len(truth.times), np.bool_)
         for row in range(truth.fresh, len(truth.times)):
-            self._unsteered = not stands[row] and (self._unsteered or not steered[row])
+            self._unsteered = not safe[row] and (self._unsteered or not steered[row])
             result[row] = self._unsteered
         return result
 

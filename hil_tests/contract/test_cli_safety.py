@@ -59,7 +59,7 @@ def test_clean_run(recorded: tuple[Answer, Path]) -> None:
     lines = len((out / "frames.log").read_text().splitlines())
     assert f"\nSafety: 17 properties held on {lines} frames\n" in answer.out
     block = json.loads((out / "summary.json").read_text())["safety"]
-    assert block == {"properties": list(properties()), "frames": lines, "violations": []}
+    assert block == {"properties": list(properties()), "frames": lines, "excursion_m": 0.0, "violations": []}
 
 
 def test_a_violation_fails_the_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
