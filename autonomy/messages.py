@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -11,6 +12,7 @@ from autonomy.geodesy import LocalTangentPlane
 from autonomy.localisation import Estimate
 from autonomy.planning import Plan
 from autonomy.status import NodeId, NodeStatus, SsmStatus, VehicleStatus
+from autonomy.wall_fit import WallFit
 from dbc.codec import MessageCodec, database
 from dbc.errors import CodecError
 from dbc.frames import FRAME_SIZE, FRAME_STRUCT, Buffer
@@ -209,6 +211,30 @@ class PlanWriter:
         portions = [both[start : start + step] for start in range(0, len(both), step)]
         portions[0] = header + portions[0]
         return portions
+
+
+class WallWriter:
+    """Two frames per polynomial."""
+
+    def __init__(self) -> None:
+        self._line = database.message("wall_line")
+        self._bend = database.message("wall_bend")
+        self._counter = 0
+
+    def frames(self, fit: WallFit | None) -> bytes:
+        """Frames of one polynomial; None says that no wall was found, as does one that the wire cannot carry."""
+        self._counter = (self._counter + 1) & 0xFF
+        counter = self._counter
+        if fit is not None:
+            c0, c1, c2, c3 = fit.coefficients
+            residual = min(fit.residual, self._line.limits("wall_residual")[1])
+            begin, end = math.ceil(fit.begin), math.floor(fit.end)
+            try:
+                line = self._line.frame(c0, c1, fit.order, residual, 100.0 * fit.share, counter)
+                return line + self._bend.frame(c2, c3, begin, end, counter)
+            except CodecError:
+                pass
+        return self._line.frame(0.0, 0.0, 0, 0.0, 0.0, counter) + self._bend.frame(0.0, 0.0, 0, 0, counter)
 
 
 class NodeWriter:

@@ -1,8 +1,11 @@
-"""The autonomy partition: frames of CAN-S and CAN-A in, frames of CAN-A out, once per 10 ms."""
+"""The autonomy partition: frames of CAN-S and CAN-A and LiDAR points in, frames of CAN-A out, once per 10 ms."""
 
 from __future__ import annotations
 
 from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
 
 from autonomy.localisation import Estimate, Localiser, Quality
 from autonomy.messages import EstimateWriter, Inbox, NodeWriter, PlanWriter
@@ -12,6 +15,7 @@ from autonomy.status import NodeId, NodeStatus
 from autonomy.track import Track
 from autonomy.track_files import load_track
 from autonomy.vehicle import VehicleLimits, load_vehicle
+from autonomy.wall_node import WallNode
 from dbc.errors import ConfigurationError
 from dbc.frames import Buffer
 from dbc.states import SsmState
@@ -24,7 +28,7 @@ _OFF_PATH = 10.0  # m; a plan that far from the car is none
 
 
 class AutonomyPartition:
-    """Estimation and planning behind one door.
+    """Estimation, planning and the look at the wall behind one door.
 
     Parameters
     ----------
@@ -47,6 +51,7 @@ class AutonomyPartition:
         self._plan_writer = PlanWriter()
         self._estimation = NodeWriter(NodeId.ESTIMATION)
         self._planning = NodeWriter(NodeId.PLANNING)
+        self._wall = WallNode(track)
         self._launched = False
         self._next_plan_us = 0
         self._portions: list[bytes] = []
@@ -67,13 +72,14 @@ class AutonomyPartition:
         """Frames dropped so far because they were cut off, too short or not data frames."""
         return self._inbox.malformed
 
-    def tick(self, now_us: int, frames: Buffer) -> bytes:
+    def tick(self, now_us: int, frames: Buffer, cloud: NDArray[np.float32] | None = None) -> bytes:
         """One minor frame.
 
         Parameters
         ----------
         now_us : simulated time.
         frames : what arrived on CAN-S and CAN-A since the last tick, 24 bytes each.
+        cloud : points of the LiDAR scan of this tick, shape (n, 3), m, vehicle axes; None without one.
 
         Returns
         -------
@@ -85,10 +91,14 @@ class AutonomyPartition:
             ssm = inbox.ssm_status()
             # Modules run only after the configuration was accepted.
             if ssm is None or not SsmState.LAUNCHING <= ssm.state <= SsmState.EMERGENCY:
-                return self._status(NodeStatus.NOT_INITIALIZED, 0.0, NodeStatus.NOT_INITIALIZED, 0.0)
+                return self._all(NodeStatus.NOT_INITIALIZED)
             self._launched = True
-            return self._status(NodeStatus.INITIALIZED, 0.0, NodeStatus.INITIALIZED, 0.0)
-        estimate = self._localiser.step(now_us, inbox.imu(), *inbox.gnss())
+            return self._all(NodeStatus.INITIALIZED)
+        return self._localise(now_us) + self._wall.tick(now_us, cloud)
+
+    def _localise(self, now_us: int) -> bytes:
+        """Frames of estimation and planning."""
+        estimate = self._localiser.step(now_us, self._inbox.imu(), *self._inbox.gnss())
         if estimate is None:
             return self._status(NodeStatus.INITIALIZED, 0.0, NodeStatus.INITIALIZED, 0.0)
         self._estimation.heartbeat += 1
@@ -109,7 +119,7 @@ class AutonomyPartition:
 
     def end(self) -> bytes:
         """Frames for CAN-A that say that the modules have stopped in order."""
-        return self._status(NodeStatus.INACTIVE, 0.0, NodeStatus.INACTIVE, 0.0)
+        return self._all(NodeStatus.INACTIVE)
 
     def _plan(self, now_us: int, estimate: Estimate) -> None:
         self._next_plan_us = now_us + PLAN_PERIOD_US
@@ -123,6 +133,10 @@ class AutonomyPartition:
         self._planning_status = NodeStatus.OK
         self._planning.heartbeat += 1
         self._portions = self._plan_writer.portions(plan, now_us)
+
+    def _all(self, status: NodeStatus) -> bytes:
+        """No node computes."""
+        return self._status(status, 0.0, status, 0.0) + self._wall.inactive(status)
 
     def _status(
         self, estimation: NodeStatus, estimation_reliability: float, planning: NodeStatus, planning_reliability: float

@@ -11,6 +11,7 @@ class NodeId(IntEnum):
 
     ESTIMATION = 0
     PLANNING = 1
+    WALL = 2
 
 
 class NodeStatus(IntEnum):

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from autonomy.frenet import Curve, FloatArray, Projector
 from autonomy.geodesy import LocalTangentPlane
+
+#: Sides of a track, in the direction of travel.
+SIDES = ("left", "right")
 
 
 @dataclass(frozen=True)
@@ -35,6 +39,7 @@ class Track:
     width_left, width_right : shape (n,), m, from the centre line to the boundaries at its nodes.
     bank : shape (n,), rad, positive when the left side is low.
     grade : shape (n,), rad, positive uphill.
+    walled : sides, left or right, on whose boundary a wall stands all around.
     """
 
     def __init__(
@@ -47,12 +52,14 @@ class Track:
         width_right: FloatArray,
         bank: FloatArray,
         grade: FloatArray,
+        walled: Sequence[str] = (),
     ) -> None:
         self.name = name
         self.origin = origin
         self.centre = centre
         self.width_left, self.width_right = width_left, width_right
         self.bank, self.grade = bank, grade
+        self.walled = tuple(walled)
         self._projector = Projector(centre)
         self._bank: tuple[float, ...] = tuple(bank.tolist())
         self._grade: tuple[float, ...] = tuple(grade.tolist())
@@ -88,6 +95,10 @@ class Track:
         normal = np.column_stack((-np.sin(self.centre.heading), np.cos(self.centre.heading)))
         line = np.column_stack((self.centre.x, self.centre.y))
         return line + self.width_left[:, None] * normal, line - self.width_right[:, None] * normal
+
+    def walls(self) -> list[FloatArray]:
+        """Walls as closed lines of points, each of shape (n, 2), m."""
+        return [edge for side, edge in zip(SIDES, self.boundaries(), strict=True) if side in self.walled]
 
     def pose_at(self, station: float, lateral: float) -> tuple[float, float, float]:
         """x, y (m) and heading (rad, (-pi, pi]) of a car parallel to the centre line at (s, d)."""

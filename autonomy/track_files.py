@@ -6,6 +6,7 @@ Every error is a ConfigurationError that names the file and the key or line.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ import yaml
 
 from autonomy.frenet import Curve, FloatArray, Projector
 from autonomy.segments import Piece, mirrored_lap
-from autonomy.track import Origin, Track
+from autonomy.track import SIDES, Origin, Track
 from dbc.errors import ConfigurationError
 
 NODE_SPACING = 1.0  # m, of the centre line
@@ -37,7 +38,9 @@ def load_track(path: str | Path) -> Track:
     return track_from_csv(path) if path.suffix.lower() == ".csv" else _track_from_yaml(path)
 
 
-def track_from_csv(path: str | Path, name: str | None = None, origin: Origin | None = None) -> Track:
+def track_from_csv(
+    path: str | Path, name: str | None = None, origin: Origin | None = None, walled: Sequence[str] = ()
+) -> Track:
     """Track from a closed centre line in the TUM race track database's format.
 
     Rows of x, y, width to the right, width to the left (m) and, optionally, bank (rad); `#` begins a comment.
@@ -65,11 +68,16 @@ def track_from_csv(path: str | Path, name: str | None = None, origin: Origin | N
         width_right=_periodic(centre, knots, table[:, 2]),
         bank=bank,
         grade=np.zeros(centre.count),
+        walled=walled,
     )
 
 
 def track_from_boundaries(
-    inner: str | Path, outer: str | Path, name: str | None = None, origin: Origin | None = None
+    inner: str | Path,
+    outer: str | Path,
+    name: str | None = None,
+    origin: Origin | None = None,
+    walled: Sequence[str] = (),
 ) -> Track:
     """Track between two closed boundaries, given as rows of x, y (m) each; driven in the inner file's order."""
     inner, outer = Path(inner), Path(outer)
@@ -93,7 +101,16 @@ def track_from_boundaries(
     if min(float(left.min()), float(right.min())) <= 0.0 or max(float(left.max()), float(right.max())) > _MAX_WIDTH:
         raise ConfigurationError(outer, "", f"does not run around {inner} at a distance of 0 to {2 * _MAX_WIDTH:g} m")
     flat = np.zeros(centre.count)
-    return Track(name or inner.stem, origin, centre, width_left=left, width_right=right, bank=flat, grade=flat.copy())
+    return Track(
+        name or inner.stem,
+        origin,
+        centre,
+        width_left=left,
+        width_right=right,
+        bank=flat,
+        grade=flat.copy(),
+        walled=walled,
+    )
 
 
 def _nearest_points(line: Curve, boundary: Curve) -> FloatArray:
@@ -118,6 +135,7 @@ def _track_from_yaml(path: Path) -> Track:
             "width_right_m",
             "bank_deg",
             "grade_deg",
+            "walls",
         }
     )
     name = node.text("name")
@@ -133,17 +151,20 @@ def _track_from_yaml(path: Path) -> Track:
     shapes = [key for key in ("half_lap", "centre_line", "boundaries") if key in node]
     if len(shapes) != 1:
         raise ConfigurationError(path, "", "needs exactly one of half_lap, centre_line, boundaries")
+    walled = node.chosen("walls", SIDES) if "walls" in node else []
     if shapes[0] == "half_lap":
-        return _track_from_segments(node, name, origin)
-    node.only({"name", "origin", shapes[0]})
+        return _track_from_segments(node, name, origin, walled)
+    node.only({"name", "origin", "walls", shapes[0]})
     if shapes[0] == "centre_line":
-        return track_from_csv(path.parent / node.text("centre_line"), name, origin)
+        return track_from_csv(path.parent / node.text("centre_line"), name, origin, walled)
     files = node.child("boundaries")
     files.only({"inner", "outer"})
-    return track_from_boundaries(path.parent / files.text("inner"), path.parent / files.text("outer"), name, origin)
+    return track_from_boundaries(
+        path.parent / files.text("inner"), path.parent / files.text("outer"), name, origin, walled
+    )
 
 
-def _track_from_segments(node: _Node, name: str, origin: Origin | None) -> Track:
+def _track_from_segments(node: _Node, name: str, origin: Origin | None, walled: Sequence[str]) -> Track:
     start = node.child("start")
     start.only({"x_m", "y_m", "heading_deg"})
     pieces = []
@@ -184,6 +205,7 @@ def _track_from_segments(node: _Node, name: str, origin: Origin | None) -> Track
         # Uphill on the way out is downhill on the way back.
         grade=np.radians(profile("grade_deg", -_MAX_ANGLE, _MAX_ANGLE, 0.0))
         * np.where(centre.stations <= 0.5 * centre.length, 1.0, -1.0),
+        walled=walled,
     )
 
 
@@ -230,6 +252,14 @@ class _Node:
         if not isinstance(value, list) or not value:
             raise ConfigurationError(self.file, self._path(key), "must be a list with at least one entry")
         return [_Node(self.file, f"{self._path(key)}[{i}]", entry) for i, entry in enumerate(value)]
+
+    def chosen(self, key: str, allowed: Sequence[str]) -> list[str]:
+        """Words of a list, each of them allowed and given once."""
+        value = self._get(key)
+        words = ", ".join(allowed)
+        if not isinstance(value, list) or any(word not in allowed for word in value) or len(set(value)) < len(value):
+            raise ConfigurationError(self.file, self._path(key), f"is {value!r}; must be a list of any of {words}")
+        return value
 
     def profile(self, key: str, low: float, high: float) -> FloatArray:
         """Points [station m, value] with ascending stations, shape (n, 2)."""

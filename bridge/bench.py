@@ -263,7 +263,8 @@ class Bench:
         if self._speaks(Station.OPERATOR):
             network.submit(Station.OPERATOR, self.operator.tick(now_us, network.take(Station.OPERATOR)))
         if self._speaks(Station.AUTONOMY):
-            network.submit(Station.AUTONOMY, self._autonomy.tick(now_us, network.take(Station.AUTONOMY)))
+            heard, cloud = network.take(Station.AUTONOMY), surroundings.scan(now_us)
+            network.submit(Station.AUTONOMY, self._autonomy.tick(now_us, heard, cloud))
         network.transmit(Bus.CAN_A)
 
         # ECUs.

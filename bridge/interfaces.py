@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, Protocol
 
 import numpy as np
@@ -56,6 +57,10 @@ class Road(Protocol):
         """Left and right edge, points across from each other, each of shape (n, 2), m."""
         ...
 
+    def walls(self) -> Sequence[NDArray[np.floating]]:
+        """Walls that a LiDAR sees: closed lines of points, each of shape (n, 2), m."""
+        ...
+
 
 class Stateful(Protocol):
     """A part of the bench that saves its state itself, because it is not in plain Python objects and arrays."""
@@ -70,19 +75,21 @@ class Stateful(Protocol):
 
 
 class Autonomy(Protocol):
-    """The perception, planning and estimation partition: CAN frames in, CAN-A frames out, once per tick.
+    """The perception, planning and estimation partition: frames and points in, CAN-A frames out, once per tick.
 
     A bench whose state is to be saved needs one whose own is in plain Python objects and numpy arrays, generators and
     iterators excepted; parts that keep it elsewhere are `Stateful`.
     """
 
-    def tick(self, now_us: int, frames: bytes) -> bytes:
+    def tick(self, now_us: int, frames: bytes, cloud: NDArray[np.float32] | None = None) -> bytes:
         """Run one minor frame.
 
         Parameters
         ----------
         now_us : start of the tick, simulated microseconds.
         frames : what its station received since the last tick, 24 bytes each.
+        cloud : points of a LiDAR scan that ended in this tick, shape (n, 3), m, in vehicle axes from the centre of
+            gravity; None when none did.
 
         Returns
         -------

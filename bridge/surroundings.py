@@ -20,6 +20,7 @@ from bridge.operator import OperatorStation, Verdict
 from bridge.plant import Plant
 from bridge.race_control import RaceControl, SafetySwitch
 from bridge.scenario import Condition, Scenario, Situation, Trigger, load_vehicle
+from bridge.sensors.lidar import Cloud
 from bridge.sensors.suite import SensorSuite
 from bridge.sensors.truth import Truth, TruthReader
 from bridge.wiring import Wiring
@@ -65,7 +66,8 @@ class Surroundings:
         self.race_control = RaceControl(scenario.race_control)
         self.laps = LapTimer(road.length)
         self._safety_switch = SafetySwitch(scenario.safety_switch)
-        self._sensors = SensorSuite(road.origin, scenario.seed)
+        axle = load_vehicle(scenario.vehicle).get("cg_to_rear_axle", 0.0)
+        self._sensors = SensorSuite(road.origin, scenario.seed, road.walls(), axle)
         self._truth_reader = TruthReader(plant.output_names)
         self.truth: Truth
         self.station: float
@@ -101,6 +103,10 @@ class Surroundings:
         """Sample the car for the ECUs' wires; returns the frames that sensors have for CAN-S."""
         self.wiring.sense()
         return self._sensors.emit(now_us, self.truth)
+
+    def scan(self, now_us: int) -> Cloud | None:
+        """Points that the LiDARs see in this tick, see `bridge.interfaces.Autonomy`; None when no scan is due."""
+        return self._sensors.scan(now_us, self.truth)
 
     def advance(self, time_s: float, change: Callable[[NDArray[np.float64]], None] | None = None) -> None:
         """Drive the car by the ECUs' wires for one tick, from `time_s` of the plant's own time.

@@ -255,7 +255,8 @@ def _fault_diagram(faults: tuple[Fault, ...]) -> str:
         return " ".join(str(f.id) for f in faults if f.reaction == reaction and f.supervised in scopes)
 
     degrade = f"degrade {ids('degrade')}, switch controller {ids('switch_controller')}"
-    safe_stop = f"safe stop {ids('safe_stop')}"
+    stops = f"safe stop {ids('safe_stop')}, emergency stop {ids('emergency_stop')}"
+    lost = f"{ids('full_brake')}, emergency stop without a wall"
     edges = [
         ("[*]", "BOOT", ""),
         ("BOOT", "CONFIG_CHECK", ""),
@@ -267,11 +268,11 @@ def _fault_diagram(faults: tuple[Fault, ...]) -> str:
         ),
         ("NOMINAL", "DEGRADED", degrade),
         ("DEGRADED", "NOMINAL", "all of them cleared"),
-        ("NOMINAL", "EMERGENCY", safe_stop),
-        ("DEGRADED", "EMERGENCY", safe_stop),
+        ("NOMINAL", "EMERGENCY", stops),
+        ("DEGRADED", "EMERGENCY", stops),
         ("EMERGENCY", "LAUNCHING", "operator resets at standstill"),
         *((state, "FULL_BRAKE", ids("full_brake", ("always",))) for state in ("BOOT", "CONFIG_CHECK", "LAUNCHING")),
-        *((state, "FULL_BRAKE", ids("full_brake")) for state in ("NOMINAL", "DEGRADED", "EMERGENCY")),
+        *((state, "FULL_BRAKE", lost) for state in ("NOMINAL", "DEGRADED", "EMERGENCY")),
     ]
     lines = (f"    {origin} --> {to}{f': {label}' if label else ''}" for origin, to, label in edges)
     return "\n".join(["stateDiagram-v2", *lines])

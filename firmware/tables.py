@@ -28,7 +28,7 @@ TYPES = ("float", "int", "bool")
 SIGNS = {"positive": 1, "non_negative": 1, "negative": -1, "any": 0}
 SAFETY = ("high", "medium", "low")
 RULES = ("less", "product")
-REACTIONS = ("none", "warn", "degrade", "switch_controller", "safe_stop", "full_brake")
+REACTIONS = ("none", "warn", "degrade", "switch_controller", "safe_stop", "emergency_stop", "full_brake")
 DEGRADING = ("degrade", "switch_controller")
 LATCHES = ("while_present", "until_reset", "until_restart")
 SCOPES = ("always", "running", "driving")
@@ -244,7 +244,8 @@ def _check_fault(path: Path, fault: Fault) -> None:
     require(bool(fault.detection), "a detection is missing")
     require(fault.debounce_ms % CYCLE_MS == 0 and fault.clear_ms % CYCLE_MS == 0, "times are multiples of 10 ms")
     require(fault.debounce_cycles * CYCLE_MS <= fault.deadline_ms, "the deadline is shorter than the debounce")
-    require(fault.reaction != "safe_stop" or fault.latch != "while_present", "a safe stop latches until a reset")
+    stops = fault.reaction in ("safe_stop", "emergency_stop")
+    require(not stops or fault.latch != "while_present", "a safe or an emergency stop latches until a reset")
     require((fault.reaction == "full_brake") == (fault.latch == "until_restart"), "only a full brake needs a restart")
     require((fault.reaction == "switch_controller") == (fault.disables != "none"), "a switch disables a controller")
     for key in ("speed_percent", "acceleration_percent"):

@@ -75,9 +75,9 @@ class ObcHarness:
         self.log: list[Frame] = []
         self.counters: dict[str, int] = {}
         self.extra: list[bytes] = []
-        self.progress: dict[int, int] = {0: 0, 1: 0}
-        self.node_codes = {0: 0, 1: 0}
-        self.node_reliability = {0: 100.0, 1: 100.0}
+        self.progress: dict[int, int] = dict.fromkeys(range(lib.NODE_COUNT), 0)
+        self.node_codes = dict.fromkeys(range(lib.NODE_COUNT), 0)
+        self.node_reliability = dict.fromkeys(range(lib.NODE_COUNT), 100.0)
         self.frozen_nodes: set[int] = set()
         self.frozen_sensors: set[str] = set()
         self.travelled_m = 0.0
@@ -91,6 +91,7 @@ class ObcHarness:
             "gnss_b_position": {}, "gnss_b_velocity": {}, "gnss_b_attitude": {}, "gnss_b_quality": {},
             "imu_rates": {}, "imu_specific_force": {"imu_specific_force_z": 9.806},
             "estimate_position": {}, "estimate_motion": {}, "estimate_quality": {"estimate_quality_level": 3},
+            "wall_line": {"wall_offset": -8.0, "wall_order": 1}, "wall_bend": {"wall_begin": -20.0, "wall_end": 60.0},
             "wheel_speed_report": {}, "brake_pressure_report": {}, "steering_report": {}, "accelerator_report": {},
             "misc_report": {"sys_state": 1, "battery_voltage": 13.2}, "pt_report_1": {"gear_shift_status": 1},
             "diagnostic_report": {}, "base_to_car_summary": {"track_flag": 1, "round_target_speed": 31},

@@ -11,6 +11,8 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
@@ -101,9 +103,9 @@ class _ClockedAutonomy:
         self._autonomy = autonomy
         self.spent_s = 0.0
 
-    def tick(self, now_us: int, frames: bytes) -> bytes:
+    def tick(self, now_us: int, frames: bytes, cloud: NDArray[np.float32] | None = None) -> bytes:
         started = time.perf_counter()
-        out = self._autonomy.tick(now_us, frames)
+        out = self._autonomy.tick(now_us, frames, cloud)
         self.spent_s += time.perf_counter() - started
         return out
 

@@ -169,7 +169,8 @@ class PlainLoop:
         surroundings.act()
         self._send(Station.SENSORS, surroundings.sense(now_us))
         self._send(Station.OPERATOR, surroundings.operator.tick(now_us, self._receive(Station.OPERATOR)))
-        self._send(Station.AUTONOMY, self._autonomy.tick(now_us, self._receive(Station.AUTONOMY)))
+        heard, cloud = self._receive(Station.AUTONOMY), surroundings.scan(now_us)
+        self._send(Station.AUTONOMY, self._autonomy.tick(now_us, heard, cloud))
         for station, ecu in (
             (Station.OBC, self._tick_obc),
             (Station.RAPTOR, self._tick_raptor),

@@ -68,6 +68,26 @@ static void lateral_step(control *self, const control_input *in, float speed, co
     out->road_wheel_angle[CONTROL_PURE_PURSUIT] = pure_pursuit_command(state);
 }
 
+/* The emergency controller looks at the wall in every state, so that it is warm. */
+static void emergency_lateral_step(control *self, const control_input *in, emergency_output *result,
+                                   control_output *out)
+{
+    const emergency_input wall = {
+        .wall = in->wall,
+        .wall_count = in->wall_count,
+        .wall_age_ms = in->wall_age_ms,
+        .wall_timeout_ms = in->wall_timeout_ms,
+        .wheel_speed = in->feedback.wheel_speed,
+        .road_wheel_angle = in->feedback.road_wheel_angle,
+        .engaged = in->lateral == CONTROL_EMERGENCY,
+    };
+    emergency_step(&self->emergency, &wall, &self->predictor, result);
+    if (result->valid) {
+        out->road_wheel_angle[CONTROL_EMERGENCY] = result->road_wheel_angle;
+    }
+    out->emergency_valid = result->valid;
+}
+
 /* Round to the step of the wire; the rest is carried to the next command. */
 static float round_to_wire(control *self, float command)
 {
@@ -82,9 +102,10 @@ static void steer(control *self, const control_input *in, float speed, const lat
 {
     const float limit = controller_table.steer_max;
     const uint8_t chosen = in->lateral < CONTROL_LATERAL_COUNT ? in->lateral : (uint8_t)CONTROL_NONE;
+    const bool valid = chosen == CONTROL_EMERGENCY ? out->emergency_valid : out->lateral_valid;
     if (speed < steering_speed_min) {
         self->lqr.integral = 0.0f;
-    } else if (out->lateral_valid && isfinite(out->road_wheel_angle[chosen])) {
+    } else if (valid && isfinite(out->road_wheel_angle[chosen])) {
         const float wish = out->road_wheel_angle[chosen];
         if (chosen == CONTROL_LQR && fabsf(wish) < limit) {
             lateral_lqr_integrate(&self->lqr, state);
@@ -147,18 +168,42 @@ static void drive(control *self, const control_input *in, float speed, const pat
     out->speed_error = result.speed_error;
 }
 
+/* Standstill by a way that leaves the wheels turning, by what they tell of speed and acceleration. */
+static void emergency_drive(control *self, const control_input *in, const emergency_output *motion,
+                            const vehicle_cornering *cornering, control_output *out)
+{
+    longitudinal_output result;
+    const float deceleration = numeric_clamp(finite_or_zero(in->max_deceleration), 0.0f, EMERGENCY_DECELERATION);
+    const longitudinal_input wish = {
+        .speed = motion->speed,
+        .acceleration = motion->acceleration,
+        .max_deceleration = deceleration,
+        .road = *cornering,
+        .engine_speed = finite_or_zero(in->feedback.engine_speed),
+        .gear = in->feedback.gear,
+        .shifting = in->feedback.gear_shift_status != GEAR_SHIFT_READY,
+    };
+    longitudinal_step(&self->speed, &wish, &result);
+    out->throttle = 0.0f;
+    out->brake_pressure = result.brake_pressure;
+    out->speed_error = result.speed_error;
+}
+
 void control_step(control *self, const control_input *in, control_output *out)
 {
     const bool usable = estimate_usable(&in->estimate);
-    const float speed = car_speed(in, usable);
+    const bool blind = in->lateral == CONTROL_EMERGENCY;
     path_projection now = {0};
     lateral_state state = {0};
     vehicle_cornering cornering;
+    emergency_output rolling;
 
     *out = (control_output){0};
     for (uint32_t i = 0; i < CONTROL_LATERAL_COUNT; i++) {
         out->road_wheel_angle[i] = self->road_wheel_command;
     }
+    emergency_lateral_step(self, in, &rolling, out);
+    const float speed = blind ? rolling.speed : car_speed(in, usable);
     out->lateral_valid = usable && in->plan != NULL;
     if (out->lateral_valid) {
         path_project(in->plan, in->estimate.x, in->estimate.y, &now);
@@ -170,7 +215,11 @@ void control_step(control *self, const control_input *in, control_output *out)
         lateral_step(self, in, speed, &cornering, now.foot.bank, &state, out);
     }
     steer(self, in, speed, &state, out);
-    drive(self, in, speed, &now, usable, &cornering, out);
+    if (blind && in->drive_enabled) {
+        emergency_drive(self, in, &rolling, &cornering, out);
+    } else {
+        drive(self, in, speed, &now, usable, &cornering, out);
+    }
     out->gear = gear_shift_step(&self->gear, speed, in->feedback.gear, in->feedback.gear_shift_status,
                                 in->feedback.engine_running, in->drive_enabled);
 }

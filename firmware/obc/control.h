@@ -9,6 +9,7 @@
 #include <stdbool.h>
 #include <stdint.h>
 
+#include "obc/emergency.h"
 #include "obc/gear_shift.h"
 #include "obc/lateral_lqr.h"
 #include "obc/longitudinal.h"
@@ -56,6 +57,10 @@ typedef struct control_input {
     const trajectory *plan; /* newest complete plan, or null */
     control_estimate estimate;
     control_feedback feedback;
+    const wall_polynomial *wall; /* newest, not null; counts while it is not older than its time-out */
+    uint32_t wall_count;         /* changes with every new wall */
+    uint16_t wall_age_ms;
+    uint16_t wall_timeout_ms;
     float max_speed;        /* m/s, in force now */
     float max_acceleration; /* m/s2 */
     float max_deceleration; /* m/s2, positive */
@@ -75,12 +80,14 @@ typedef struct control_output {
     float heading_error;                           /* rad */
     float speed_error;                             /* m/s, reference minus actual */
     bool lateral_valid;                            /* a path and an estimate were there */
+    bool emergency_valid;                          /* a wall was there, which is all that CONTROL_EMERGENCY needs */
 } control_output;
 
 /* State of control. Zero it, or control_init. */
 typedef struct control {
     motion_predictor predictor;
     lateral_lqr lqr;
+    emergency emergency;
     longitudinal speed;
     gear_shift gear;
     float road_wheel_command; /* rad, last command */
@@ -92,7 +99,8 @@ void control_init(control *self);
 
 /* One period of control, called at 100 Hz. Without a plan or an estimate the wheels keep their angle and the car is
  * braked at max_deceleration, which it is beyond the last point of a plan, too; below walking pace the wheels keep
- * their angle too, as they do when the chosen controller is CONTROL_NONE or CONTROL_EMERGENCY, or has no finite answer.
+ * their angle too, as they do when the chosen controller is CONTROL_NONE, or has no finite answer. CONTROL_EMERGENCY
+ * takes nothing from plan and estimate: it follows the wall, and stops at EMERGENCY_DECELERATION at most.
  * The road wheel command is rounded to the step of steering_cmd, and what rounding withholds is carried over, so that
  * its mean is exact. input, output: not null. Whatever the input holds, all commands are finite and inside their
  * ranges; road_wheel_angle is as its controller computed it. */

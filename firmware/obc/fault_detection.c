@@ -163,6 +163,7 @@ static const node_row node_rows[NODE_COUNT] = {
                          FAULT_ESTIMATION_LOW_RELIABILITY},
     [NODE_PLANNING] = {FAULT_PLANNING_NOT_OK, FAULT_PLANNING_FAILED, FAULT_PLANNING_STALLED,
                        FAULT_PLANNING_LOW_RELIABILITY},
+    [NODE_WALL] = {FAULT_WALL_NOT_OK, FAULT_WALL_FAILED, FAULT_WALL_STALLED, FAULT_WALL_LOW_RELIABILITY},
 };
 
 static void detect_nodes(const fault_sources *sources, fault_conditions *conditions)
@@ -182,7 +183,7 @@ static void detect_nodes(const fault_sources *sources, fault_conditions *conditi
     }
 }
 
-static void detect_estimate_and_plan(const fault_sources *sources, fault_conditions *conditions)
+static void detect_autonomy_results(const fault_sources *sources, fault_conditions *conditions)
 {
     const uint8_t quality = sources->estimate->quality;
     const bool fresh =
@@ -190,6 +191,9 @@ static void detect_estimate_and_plan(const fault_sources *sources, fault_conditi
     set(conditions, FAULT_ESTIMATE_DEGRADED, fresh && quality == ESTIMATE_DEGRADED, quality);
     set(conditions, FAULT_ESTIMATE_BAD, fresh && quality == ESTIMATE_BAD, quality);
     set(conditions, FAULT_ESTIMATE_LOST, !fresh || quality == ESTIMATE_LOST, quality);
+
+    const uint16_t wall_age_ms = wall_receiver_age_ms(sources->wall, sources->now_us);
+    set(conditions, FAULT_WALL_MISSING, wall_age_ms > wall_receiver_timeout_ms(), wall_age_ms);
 
     const uint64_t age_ms = sources->plan != NULL ? (sources->now_us - sources->plan->received_us) / 1000U : UINT16_MAX;
     set(conditions, FAULT_PLAN_STALE, age_ms > milliseconds(sources, PARAMETER_PLAN_TIMEOUT), (uint32_t)age_ms);
@@ -335,7 +339,7 @@ void fault_detection_step(fault_detection *self, const fault_sources *sources, f
     detect_launch(sources, conditions);
     detect_sensors(sources, conditions);
     detect_nodes(sources, conditions);
-    detect_estimate_and_plan(sources, conditions);
+    detect_autonomy_results(sources, conditions);
     detect_control(sources, conditions);
     detect_divergence(sources, conditions);
     detect_vehicle(sources, conditions);

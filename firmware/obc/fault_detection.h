@@ -16,6 +16,7 @@
 #include "obc/sensor_monitor.h"
 #include "obc/trajectory.h"
 #include "obc/vehicle_feedback.h"
+#include "obc/wall_receiver.h"
 
 /* Everything that is looked at. All pointers not null, except plan. */
 typedef struct fault_sources {
@@ -24,6 +25,7 @@ typedef struct fault_sources {
     sensor_monitor *sensors;
     const vehicle_feedback *vehicle;
     const estimate_receiver *estimate;
+    const wall_receiver *wall;
     const trajectory *plan; /* newest complete plan, or null */
     const control_output *control;
     const dbw_command *dbw; /* commands of the previous cycle */

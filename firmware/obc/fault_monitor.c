@@ -80,6 +80,16 @@ fault_share fault_monitor_share(const fault_monitor *self)
     return least;
 }
 
+bool fault_monitor_demands(const fault_monitor *self, uint8_t reaction)
+{
+    for (uint32_t id = FAULT_NONE + 1U; id < FAULT_COUNT; id++) {
+        if (self->faults[id].active && fault_table[id].reaction == reaction) {
+            return true;
+        }
+    }
+    return false;
+}
+
 uint8_t fault_monitor_active_count(const fault_monitor *self)
 {
     uint8_t count = 0U;

@@ -53,6 +53,9 @@ uint8_t fault_monitor_worst(const fault_monitor *self);
 /* What all active faults together leave: the least of each share; 100 percent while none is active. */
 fault_share fault_monitor_share(const fault_monitor *self);
 
+/* True when a fault with this reaction (enum fault_reaction) is active. */
+bool fault_monitor_demands(const fault_monitor *self, uint8_t reaction);
+
 /* Number of active faults. */
 uint8_t fault_monitor_active_count(const fault_monitor *self);
 

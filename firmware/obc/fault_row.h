@@ -12,7 +12,8 @@ enum fault_reaction {
     FAULT_REACTION_DEGRADE = 2,
     FAULT_REACTION_SWITCH_CONTROLLER = 3,
     FAULT_REACTION_SAFE_STOP = 4,
-    FAULT_REACTION_FULL_BRAKE = 5,
+    FAULT_REACTION_EMERGENCY_STOP = 5, /* beside the wall; without one the next */
+    FAULT_REACTION_FULL_BRAKE = 6,
 };
 
 /* How long an active fault is held once its condition has gone. */

@@ -15,7 +15,8 @@
 enum node_id {
     NODE_ESTIMATION = 0,
     NODE_PLANNING = 1,
-    NODE_COUNT = 2,
+    NODE_WALL = 2,
+    NODE_COUNT = 3,
 };
 
 /* Status codes (SSM-5); the numbers are those of node_status.node_status_code. */

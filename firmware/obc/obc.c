@@ -97,6 +97,10 @@ static void receive_autonomy(obc *self, const can_frame *frame)
     case AUTONOMY_TRAJECTORY_MOTION_FRAME_ID:
         trajectory_receiver_push(&self->plans, frame, self->io.now_us);
         break;
+    case AUTONOMY_WALL_LINE_FRAME_ID:
+    case AUTONOMY_WALL_BEND_FRAME_ID:
+        wall_receiver_push(&self->wall, frame, self->io.now_us);
+        break;
     default:
         estimate_receiver_push(&self->estimate, frame, self->io.now_us);
         break;
@@ -150,6 +154,10 @@ static void run_control(void *context)
         .plan = trajectory_receiver_latest(&self->plans),
         .estimate = estimate(self),
         .feedback = self->vehicle.control,
+        .wall = &self->wall.wall,
+        .wall_count = self->wall.count,
+        .wall_age_ms = wall_receiver_age_ms(&self->wall, self->io.now_us),
+        .wall_timeout_ms = wall_receiver_timeout_ms(),
         .max_speed = ssm->limits.max_speed,
         .max_acceleration = ssm->limits.max_acceleration,
         .max_deceleration = ssm->limits.max_deceleration,
@@ -169,6 +177,7 @@ static void run_monitor(void *context)
         .sensors = &self->sensors,
         .vehicle = &self->vehicle,
         .estimate = &self->estimate,
+        .wall = &self->wall,
         .plan = trajectory_receiver_latest(&self->plans),
         .control = &self->control_output,
         .dbw = &self->dbw,
@@ -186,6 +195,12 @@ static void run_monitor(void *context)
     fault_detection_step(&self->detection, &sources, &self->conditions);
 }
 
+/* The emergency controller has what it needs: a wall, and the speed at which the car rolls. */
+static bool wall_followed(const obc *self)
+{
+    return self->control_output.emergency_valid && !self->conditions.present[FAULT_WHEEL_SPEED_MISSING];
+}
+
 static void run_ssm(void *context)
 {
     obc *self = context;
@@ -201,6 +216,7 @@ static void run_ssm(void *context)
         .launch_wanted = self->launch.wanted,
         .driving = driving(self),
         .standing_still = standing_still(self),
+        .wall_followed = wall_followed(self),
     };
     ssm_step(&self->ssm, &input, &self->ssm_output);
 
@@ -235,11 +251,19 @@ static uint8_t dbw_mode(const obc *self)
     return driving(self) ? DBW_DRIVE : DBW_HOLD;
 }
 
-/* Control may brake less than the holding pressure only on a path, an estimate and a wheel speed that are fresh. */
+/* What the chosen controller steers by is there. */
+static bool controller_sees(const obc *self)
+{
+    return self->ssm_output.controller == CONTROL_EMERGENCY ? self->control_output.emergency_valid
+                                                            : self->control_output.lateral_valid;
+}
+
+/* Control may brake less than the holding pressure only on a path, an estimate and a wheel speed that are fresh; beside
+ * a wall the estimate does not count. */
 static bool inputs_fresh(const obc *self)
 {
-    return self->control_output.lateral_valid && !self->conditions.present[FAULT_WHEEL_SPEED_MISSING] &&
-           !self->conditions.present[FAULT_ESTIMATE_LOST];
+    return controller_sees(self) && !self->conditions.present[FAULT_WHEEL_SPEED_MISSING] &&
+           (self->ssm_output.controller == CONTROL_EMERGENCY || !self->conditions.present[FAULT_ESTIMATE_LOST]);
 }
 
 /* The wheels follow control while the car is driven, or rolls under a full brake; a command that is not finite is
@@ -248,7 +272,7 @@ static bool steering_follows(const obc *self)
 {
     const uint8_t controller = self->ssm_output.controller;
     const bool moves = driving(self) || (controller != CONTROL_NONE && !standing_still(self));
-    return moves && self->control_output.lateral_valid && isfinite(self->control_output.road_wheel_angle[controller]);
+    return moves && controller_sees(self) && isfinite(self->control_output.road_wheel_angle[controller]);
 }
 
 static void run_dbw(void *context)

@@ -22,6 +22,7 @@
 #include "obc/status_report.h"
 #include "obc/trajectory.h"
 #include "obc/vehicle_feedback.h"
+#include "obc/wall_receiver.h"
 
 /* Tasks in the order of the schedule. */
 enum obc_task {
@@ -63,6 +64,7 @@ typedef struct obc {
     vehicle_feedback vehicle;
     estimate_receiver estimate;
     trajectory_receiver plans;
+    wall_receiver wall;
     obc_launch launch;
     fault_detection detection;
     fault_conditions conditions;

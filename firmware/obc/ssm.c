@@ -19,9 +19,12 @@ static uint8_t scope_of(const ssm *self, const ssm_input *input)
 }
 
 /* The best controller that no fault disables, in the order LQR, Stanley, pure pursuit; CONTROL_NONE when none is left.
- */
-static uint8_t choose_controller(const fault_monitor *faults)
+ * Where a fault says that the car does not know where it is, only the one that follows the wall counts, if it can. */
+static uint8_t choose_controller(const fault_monitor *faults, bool wall_followed)
 {
+    if (fault_monitor_demands(faults, FAULT_REACTION_EMERGENCY_STOP)) {
+        return wall_followed ? (uint8_t)CONTROL_EMERGENCY : (uint8_t)CONTROL_NONE;
+    }
     for (uint32_t controller = CONTROL_LQR; controller <= CONTROL_PURE_PURSUIT; controller++) {
         if (fault_monitor_allows(faults, (uint8_t)controller)) {
             return (uint8_t)controller;
@@ -31,7 +34,8 @@ static uint8_t choose_controller(const fault_monitor *faults)
 }
 
 /* Reaction of the worst active fault, raised where it cannot be had: degraded driving that the configuration does not
- * allow becomes a safe stop, and the switch of a controller that has no successor a full brake. */
+ * allow becomes a safe stop; the switch of a controller that has no successor a full brake, and so does the emergency
+ * stop without a wall. */
 static uint8_t reaction_in_force(uint8_t worst, uint8_t controller, bool degraded_allowed)
 {
     const uint8_t reaction = fault_table[worst].reaction;
@@ -46,7 +50,7 @@ static uint8_t reaction_in_force(uint8_t worst, uint8_t controller, bool degrade
 
 static uint8_t running_state(uint8_t reaction)
 {
-    if (reaction == FAULT_REACTION_SAFE_STOP) {
+    if (reaction >= FAULT_REACTION_SAFE_STOP) {
         return SSM_EMERGENCY;
     }
     return reaction >= FAULT_REACTION_DEGRADE ? SSM_DEGRADED : SSM_NOMINAL;
@@ -105,7 +109,7 @@ void ssm_step(ssm *self, const ssm_input *input, ssm_output *output)
 
     fault_monitor_step(&self->faults, input->conditions, scope_of(self, input), reset, input->now_us);
     const uint8_t worst = fault_monitor_worst(&self->faults);
-    const uint8_t controller = choose_controller(&self->faults);
+    const uint8_t controller = choose_controller(&self->faults, input->wall_followed);
     const uint8_t reaction = reaction_in_force(worst, controller, input->degraded_allowed);
     self->state = reaction == FAULT_REACTION_FULL_BRAKE ? SSM_FULL_BRAKE : next_state(self, input, reaction, reset);
 

@@ -17,7 +17,7 @@ enum ssm_state {
     SSM_LAUNCHING = 2,    /* full brake; nodes may start */
     SSM_NOMINAL = 3,
     SSM_DEGRADED = 4,   /* lower limits by fault, or a backup controller */
-    SSM_EMERGENCY = 5,  /* stops along the path, then holds */
+    SSM_EMERGENCY = 5,  /* stops along the path or beside the wall, then holds */
     SSM_FULL_BRAKE = 6, /* until restart */
 };
 
@@ -39,6 +39,7 @@ typedef struct ssm_input {
     bool launch_wanted;    /* the operator's last word, however old */
     bool driving;          /* control moves the car */
     bool standing_still;
+    bool wall_followed; /* CONTROL_EMERGENCY has a wall to stop beside */
 } ssm_input;
 
 /* What is in force. A zeroed output is full brake. */
@@ -50,7 +51,7 @@ typedef struct ssm_output {
     uint8_t active_faults; /* number */
     uint8_t controller;    /* enum control_lateral that steers, from NOMINAL on; a full brake is steered as well */
     bool drive_allowed;    /* anything but the full brake may be commanded */
-    bool safe_stop;        /* stop along the path */
+    bool safe_stop;        /* stop along the path, or beside the wall when CONTROL_EMERGENCY steers */
 } ssm_output;
 
 /* State: zero it to start. */

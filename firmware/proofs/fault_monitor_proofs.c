@@ -75,6 +75,9 @@ void proof_worst(void)
     PROVE(worst == FAULT_NONE || self.faults[worst].active, "that is active");
     PROVE(!self.faults[id].active || fault_table[worst].reaction >= fault_table[id].reaction, "the most severe wins");
     PROVE(fault_monitor_active_count(&self) < FAULT_COUNT, "never more than there are");
+    PROVE(!self.faults[id].active || fault_monitor_demands(&self, fault_table[id].reaction), "what is active demands");
+    const uint8_t reaction = nondet_uint8();
+    PROVE(!fault_monitor_demands(&self, reaction) || fault_table[worst].reaction >= reaction, "and nothing else does");
 }
 
 /* Limits while degraded. */
@@ -93,12 +96,13 @@ void proof_share(void)
           "one that stops the car nothing");
 }
 
-/* Before the launch no fault is active that stops the car safely: none is looked for, and a reset has let go. */
+/* Before the launch no fault is active that stops the car on a path: none is looked for, and a reset has let go. */
 static bool sound_launch(const ssm *self)
 {
     for (uint32_t id = FAULT_NONE + 1U; id < FAULT_COUNT; id++) {
         if (self->state <= SSM_LAUNCHING && self->faults.faults[id].active &&
-            fault_table[id].reaction == FAULT_REACTION_SAFE_STOP) {
+            (fault_table[id].reaction == FAULT_REACTION_SAFE_STOP ||
+             fault_table[id].reaction == FAULT_REACTION_EMERGENCY_STOP)) {
             return false;
         }
     }
@@ -123,7 +127,7 @@ void proof_ssm(void)
     const uint8_t state = self.state;
     const uint32_t id = any_fault();
     const bool active = self.faults.faults[id].active;
-    PROVE(sound_launch(&self), "no safe stop is active before the launch");
+    PROVE(sound_launch(&self), "no safe or emergency stop is active before the launch");
     PROVE(output.state == state && state <= SSM_FULL_BRAKE, "a state of the enum");
     PROVE(before != SSM_FULL_BRAKE || state == SSM_FULL_BRAKE, "FULL_BRAKE is absorbing");
     PROVE(before <= SSM_FULL_BRAKE || state == SSM_FULL_BRAKE, "what is no state becomes FULL_BRAKE");
@@ -133,6 +137,10 @@ void proof_ssm(void)
     PROVE(!active || fault_table[id].reaction < FAULT_REACTION_SAFE_STOP || state < SSM_NOMINAL ||
               state >= SSM_EMERGENCY,
           "no driving with a safe stop active");
+    const bool lost = active && fault_table[id].reaction == FAULT_REACTION_EMERGENCY_STOP;
+    PROVE(!lost || state < SSM_NOMINAL || state == SSM_FULL_BRAKE || output.controller == CONTROL_EMERGENCY,
+          "a car that is lost moves under the emergency controller only");
+    PROVE(output.controller != CONTROL_EMERGENCY || input.wall_followed, "which has a wall");
     PROVE(!active || fault_table[id].disables == CONTROL_NONE || output.controller != fault_table[id].disables,
           "no controller that a fault disables");
     const bool drives = state == SSM_NOMINAL || state == SSM_DEGRADED || state == SSM_EMERGENCY;

@@ -207,7 +207,7 @@ OBC_MISSED = frozenset(
         "gnss_a_timeout", "gnss_b_timeout", "imu_timeout", "estimate_lost", "launch_withdrawn", "wheel_speed_missing",
         "brake_report_missing", "steering_report_missing", "misc_report_missing", "powertrain_report_missing",
         "diagnostic_report_missing", "accelerator_report_missing", "race_control_lost", "plan_stale",
-        "planning_stalled", "estimation_stalled",
+        "planning_stalled", "estimation_stalled", "wall_missing",
     }
 )  # fmt: skip
 

@@ -204,7 +204,7 @@ def test_a_report_that_is_missed_has_the_reaction_of_its_fault(name: str) -> Non
     brake, throttle = (sent[NETWORK[m].message.frame_id][0] for m in ("brake_pressure_cmd", "accelerator_cmd"))
     if "full_brake" in reactions:
         assert (state, brake, throttle) == (lib.SSM_FULL_BRAKE, 6000, 0)
-    elif "safe_stop" in reactions:
+    elif reactions & {"safe_stop", "emergency_stop"}:
         assert (state, throttle) == (lib.SSM_EMERGENCY, 0)
         assert brake > 0
     else:
@@ -243,14 +243,17 @@ OTHERWISE = {
 
 
 @pytest.mark.parametrize("row", [row for row in ALL_ROWS if (row.values[0].fault, row.values[0].shape) in OTHERWISE])  # type: ignore[attr-defined]
-@pytest.mark.parametrize("name", ["node_status", "trajectory_header", "trajectory_pose", "trajectory_motion"])
-def test_plans_and_node_states_have_their_own_counters(name: str, row: Row) -> None:
+@pytest.mark.parametrize(
+    "name",
+    ["node_status", "trajectory_header", "trajectory_pose", "trajectory_motion", "wall_line", "wall_bend"],
+)
+def test_plans_walls_and_node_states_have_their_own_counters(name: str, row: Row) -> None:
     receiver = onboard_computer()
     run = receiver.run(row.inject(receiver.traffic, stream_of(receiver, name, name)))
     noticed = run.noticed(control(onboard_computer))
     assert bool(noticed) == OTHERWISE[row.fault, row.shape]
-    expected = {"planning_stalled"} if name == "node_status" else {"plan_stale"}
-    assert not noticed or expected <= run.missed(-1)
+    expected = {"node": {"planning_stalled"}, "trajectory": {"plan_stale"}, "wall": {"wall_missing"}}
+    assert not noticed or expected[name.split("_")[0]] <= run.missed(-1)
 
 
 # --- asymmetric information and partial reception: three receivers of one request

@@ -166,7 +166,7 @@ CASES: list[tuple[str, str, Provoke]] = [
     ("imu_wrong_size", "short", silent("imu_specific_force")),
     *(
         case
-        for number, name in ((0, "estimation"), (1, "planning"))
+        for number, name in ((0, "estimation"), (1, "planning"), (2, "wall"))
         for case in (
             *((f"{name}_not_ok", word, node(number, code=code)) for word, code in NOT_READY.items()),
             *((f"{name}_failed", word, node(number, code=code)) for word, code in FAILED.items()),
@@ -183,6 +183,9 @@ CASES: list[tuple[str, str, Provoke]] = [
     ("estimate_lost", "quality", silent("estimate_quality")),
     ("plan_stale", "silent", attribute("planning", False)),
     ("plan_stale", "incomplete", lambda harness: harness.filters.append(drop("trajectory_header"))),
+    ("wall_missing", "silent", silent("wall_line")),
+    ("wall_missing", "half", silent("wall_bend")),
+    ("wall_missing", "none found", signal("wall_line", wall_order=0)),
     ("path_left", "offset", signal("estimate_position", estimate_y=3.5)),
     ("command_invalid", "memory", lambda harness: setattr(harness.obc, "dbw_violations", lib.DBW_VIOLATION_THROTTLE)),
     ("lqr_invalid", "nan", spoil_lqr),
@@ -311,7 +314,9 @@ def test_fault(name: str, provoke: Provoke) -> None:
         assert (harness.brake_kpa, harness.throttle) == (6000, 0)
         harness.run(20)
         assert harness.ct_state == lib.CT_EMRG_SHUTDOWN
-    elif reaction == lib.FAULT_REACTION_SAFE_STOP:
+    elif reaction in (lib.FAULT_REACTION_SAFE_STOP, lib.FAULT_REACTION_EMERGENCY_STOP):
+        if reaction == lib.FAULT_REACTION_EMERGENCY_STOP:
+            assert harness.value("ssm_status", "ssm_controller") == lib.CONTROL_EMERGENCY
         harness.run(2)
         assert harness.state in (lib.SSM_EMERGENCY, lib.SSM_FULL_BRAKE)
         assert harness.throttle == 0

@@ -18,7 +18,7 @@ from bridge.scenario import load_scenario
 from dbc.codec import database
 from dbc.frames import FRAME_DTYPE, Station
 from dbc.states import CtState, SsmState, SysState
-from firmware.tables import FAULTS_FILE, load_faults
+from firmware.tables import FAULTS_FILE, REACTIONS, load_faults
 from tools.run import build_bench, find_scenario, load_road
 
 SCENARIO = load_scenario(find_scenario("short_drive"))
@@ -145,12 +145,11 @@ def frame_of(log: Recording, place: int) -> tuple[int, int]:
 
 def fault_event(name: str, active: bool = True) -> bytes:
     (fault,) = (fault for fault in load_faults() if fault.name == name)
-    reaction = {"full_brake": 5, "switch_controller": 3, "degrade": 2}[fault.reaction]
-    return database.message("fault_event").frame(fault.id, int(active), 0, reaction, 0, 0)
+    return database.message("fault_event").frame(fault.id, int(active), 0, REACTIONS.index(fault.reaction), 0, 0)
 
 
 def test_full_brake_fault_without_full_brake(log: Recording) -> None:
-    log.insert(fault_event("estimate_lost"), DRIVES_US)  # 70 ms, less 50 ms of debounce
+    log.insert(fault_event("est6_sd_emergency_brake"), DRIVES_US)  # 40 ms, less 20 ms of debounce
     due = DRIVES_US + 20 * MS
     first = min(log.places("brake_pressure_cmd", due)[0], *throttled(log, due)[:1])
     assert found(log, "SAFE-1") == frame_of(log, int(first))
@@ -162,7 +161,7 @@ def throttled(log: Recording, begin_us: int) -> NDArray[np.intp]:
 
 
 def test_full_brake_fault_with_full_brake_in_time(log: Recording) -> None:
-    log.insert(fault_event("estimate_lost"), DRIVES_US)
+    log.insert(fault_event("est6_sd_emergency_brake"), DRIVES_US)
     due = DRIVES_US + 20 * MS
     log.put("brake_pressure_cmd", "brake_pressure_cmd", 6000.0, log.places("brake_pressure_cmd", due))
     log.put("accelerator_cmd", "acc_pedal_cmd", 0.0, log.places("accelerator_cmd", due))
@@ -172,8 +171,9 @@ def test_full_brake_fault_with_full_brake_in_time(log: Recording) -> None:
     assert found(log, "SAFE-1") == frame_of(log, int(late[0]))
 
 
-def test_fault_of_another_reaction(log: Recording) -> None:
-    log.insert(fault_event("gnss_a_timeout"), DRIVES_US)
+@pytest.mark.parametrize("name", ["gnss_a_timeout", "wheel_speed_missing", "estimate_lost"])
+def test_fault_of_another_reaction(log: Recording, name: str) -> None:
+    log.insert(fault_event(name), DRIVES_US)
     assert found(log, "SAFE-1") is None
 
 

@@ -73,6 +73,7 @@ def test_ssm_diagram_has_every_transition_and_no_other() -> None:
                 "launch_wanted": generator.random() < 0.8,
                 "driving": generator.random() < 0.5,
                 "standing_still": generator.random() < 0.5,
+                "wall_followed": generator.random() < 0.5,
             }
             lib.ssm_step(ssm, ffi.new("ssm_input *", values), out)
             if out.state != state:
@@ -160,12 +161,16 @@ def test_names_of_the_run_up(title: str, states: Any) -> None:
 # --- times ---
 
 
-def obc_silent(*names: str) -> int:
+def obc_silent(*names: str, walled: bool = True) -> int:
     """Milliseconds from the last frame to the full brake on CAN1."""
     harness = ObcHarness()
+    if not walled:
+        del harness.periods["wall_line"]
     harness.drive()
     harness.set_speed(20.0)
     harness.run(20)
+    while any((harness.now_us - TICK_US) % harness.periods[name] for name in names):
+        harness.tick()  # until all of them have just been heard
     for name in names:
         harness.periods.pop(name)
     for ticks in range(1, 60):
@@ -214,10 +219,11 @@ def test_measured_times() -> None:
     assert (first.brake_kpa, first.throttle) == (6000, 0)
     assert [
         obc_silent("misc_report"),
-        obc_silent("estimate_position", "estimate_motion", "estimate_quality"),
-    ] == measured[1:3]
-    assert {raptor_without(name, stuck=False) for name in commands} == {measured[3]}
-    assert {raptor_without(name, stuck=True) for name in commands} == {measured[4]}
-    assert raptor_without("ct_report", stuck=False) == measured[5]
-    assert {space_drive_without(axis, bad=False) for axis in (0, 1)} == {measured[6]}
-    assert {space_drive_without(axis, bad=True) for axis in (0, 1)} == {measured[7]}
+        obc_silent("estimate_position", "estimate_motion", "estimate_quality", walled=False),
+        obc_silent("wall_line", "estimate_position", "estimate_motion", "estimate_quality"),
+    ] == measured[1:4]
+    assert {raptor_without(name, stuck=False) for name in commands} == {measured[4]}
+    assert {raptor_without(name, stuck=True) for name in commands} == {measured[5]}
+    assert raptor_without("ct_report", stuck=False) == measured[6]
+    assert {space_drive_without(axis, bad=False) for axis in (0, 1)} == {measured[7]}
+    assert {space_drive_without(axis, bad=True) for axis in (0, 1)} == {measured[8]}
