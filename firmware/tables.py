@@ -245,7 +245,7 @@ def _check_fault(path: Path, fault: Fault) -> None:
     require(fault.debounce_ms % CYCLE_MS == 0 and fault.clear_ms % CYCLE_MS == 0, "times are multiples of 10 ms")
     require(fault.debounce_cycles * CYCLE_MS <= fault.deadline_ms, "the deadline is shorter than the debounce")
     stops = fault.reaction in ("safe_stop", "emergency_stop")
-    require(not stops or fault.latch != "while_present", "a safe or an emergency stop latches until a reset")
+    require(not stops or fault.latch != "while_present", "a safe stop or an emergency stop latches until a reset")
     require((fault.reaction == "full_brake") == (fault.latch == "until_restart"), "only a full brake needs a restart")
     require((fault.reaction == "switch_controller") == (fault.disables != "none"), "a switch disables a controller")
     for key in ("speed_percent", "acceleration_percent"):

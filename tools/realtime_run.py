@@ -168,6 +168,11 @@ class SharedFiles:
         return self.folder / "wires"
 
     @property
+    def clouds(self) -> Path:
+        """LiDAR points from the plant to autonomy."""
+        return self.folder / "clouds"
+
+    @property
     def truth(self) -> Path:
         """The plant's outputs."""
         return self.folder / "truth"
@@ -214,6 +219,7 @@ def make_parts(scenario: Scenario, options: RealTimeOptions, shared: SharedFiles
             ]
             command += _station_arguments(name, options, shared, cycles)
             command += [f"--truth={shared.truth}"] if name == "plant" else []
+            command += [f"--clouds={shared.clouds}"]
             command += [f"--phase={phase_us * options.slower}", f"--period={options.period_us}"]
             command += options.placement.options(role)
             # An FMU is unpacked where the run's folder takes it along, however the process ends.

@@ -22,6 +22,7 @@ from typing import NoReturn
 from bridge._native import lib
 from bridge.bus import CHANNELS
 from bridge.realtime.autonomy_station import AutonomyStation
+from bridge.realtime.cloud import CloudReceiver, CloudSender
 from bridge.realtime.cycle_log import CycleLogWriter
 from bridge.realtime.link import CanLink, Filter
 from bridge.realtime.placement import Placement
@@ -100,7 +101,8 @@ def _run_plant(
     if options.truth is not None:
         plant, rows = surroundings.plant, scenario.time_limit_us // TICK_US + _SPARE
         truth = exits.enter_context(TruthWriter(options.truth, plant.output_names, plant.output_units, rows))
-    station = PlantStation(surroundings, scenario, wires, truth, say)
+    clouds = None if options.clouds is None else exits.enter_context(CloudSender(options.clouds))
+    station = PlantStation(surroundings, scenario, wires, truth, say, clouds)
     messages = [profile(scenario.profile).message(heard) for heard in _PLANT_HEARS]
     filters = {bus: [Filter(one.frame_id) for one in messages if one.bus == bus] for bus in addresses}
     _run(options, scenario, station, addresses, filters, exits, say)
@@ -115,7 +117,8 @@ def _run_autonomy(
     exits: ExitStack,
     say: Callable[[str], None],
 ) -> int:
-    station = AutonomyStation(make_autonomy(scenario, load_road(scenario, scenario.track)))
+    clouds = None if options.clouds is None else exits.enter_context(CloudReceiver(options.clouds))
+    station = AutonomyStation(make_autonomy(scenario, load_road(scenario, scenario.track)), clouds)
     _run(options, scenario, station, addresses, {}, exits, say)
     return 0
 
@@ -191,6 +194,7 @@ def make_parser() -> argparse.ArgumentParser:
         station.add_argument("scenario", type=Path, help="YAML file")
         station.add_argument("--profile", default=DEFAULT_PROFILE, help=f"of CAN1 (default: {DEFAULT_PROFILE})")
         station.add_argument("--bus", action="append", default=[], metavar="BUS=ADDRESS", help="repeat for each bus")
+        station.add_argument("--clouds", type=Path, metavar="FILE", help="local socket of LiDAR points (default: none)")
         station.add_argument("--epoch", type=_epoch_word, metavar="NS", help="CLOCK_MONOTONIC; -: ask (default: now)")
         station.add_argument("--phase", type=_count, default=0, metavar="US", help="within the period (default: 0)")
         station.add_argument(

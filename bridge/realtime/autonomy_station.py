@@ -1,8 +1,9 @@
-"""Autonomy as a station on CAN-S and CAN-A."""
+"""Autonomy as a station on CAN-S and CAN-A, with the LiDARs' points."""
 
 from __future__ import annotations
 
 from bridge.interfaces import EndableAutonomy
+from bridge.realtime.cloud import CloudReceiver
 
 
 class AutonomyStation:
@@ -11,16 +12,19 @@ class AutonomyStation:
     Parameters
     ----------
     autonomy : from outside, see `bridge.interfaces`.
+    clouds : of the plant's station; None for a car without LiDARs.
     """
 
     over = False
 
-    def __init__(self, autonomy: EndableAutonomy) -> None:
+    def __init__(self, autonomy: EndableAutonomy, clouds: CloudReceiver | None = None) -> None:
         self._autonomy = autonomy
+        self._clouds = clouds
 
     def step(self, now_us: int, received: bytes) -> bytes:
         """One cycle, see `bridge.realtime.station.Station`."""
-        return self._autonomy.tick(now_us, received)
+        cloud = None if self._clouds is None else self._clouds.newest(now_us)
+        return self._autonomy.tick(now_us, received, cloud)
 
     def end(self) -> bytes:
         """The modules say that they are inactive, so that the SSM reads an orderly stop before the silence."""

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from enum import IntEnum
 from typing import Any
 
+from bridge.realtime.cloud import CloudSender
 from bridge.realtime.truth_file import TruthWriter
 from bridge.realtime.wired import Cell, WiredIo
 from bridge.scenario import Scenario
@@ -60,6 +61,7 @@ class PlantStation:
     wires : to the actuator ECUs.
     truth : gets the plant's outputs once per slot.
     say : takes a line for people.
+    clouds : takes the LiDARs' points; None for a car without LiDARs.
 
     Attributes
     ----------
@@ -76,6 +78,7 @@ class PlantStation:
         wires: WiredIo,
         truth: TruthWriter | None = None,
         say: Callable[[str], None] = lambda _line: None,
+        clouds: CloudSender | None = None,
     ) -> None:
         self.surroundings = surroundings
         self.ending: Ending | None = None
@@ -85,6 +88,7 @@ class PlantStation:
         self._wires = wires
         self._truth = truth
         self._say = say
+        self._clouds = clouds
         self._watch = EndWatch(scenario.finish, scenario.time_limit_us)
         self._states = ReportedStates(profile(scenario.profile))
         self._misc_data = self._ct_data = bytes(8)
@@ -194,4 +198,6 @@ class PlantStation:
         if self.ending is not None:
             return b""
         surroundings.act()
+        if self._clouds is not None and (cloud := surroundings.scan(now_us)) is not None:
+            self._clouds.send(now_us, cloud)
         return surroundings.sense(now_us) + surroundings.operator.tick(now_us, for_operator)

@@ -57,7 +57,7 @@ typedef struct control_input {
     const trajectory *plan; /* newest complete plan, or null */
     control_estimate estimate;
     control_feedback feedback;
-    const wall_polynomial *wall; /* newest, not null; counts while it is not older than its time-out */
+    const wall_polynomial *wall; /* newest, or null; counts while it is not older than its time-out */
     uint32_t wall_count;         /* changes with every new wall */
     uint16_t wall_age_ms;
     uint16_t wall_timeout_ms;

@@ -1,6 +1,7 @@
 #include "obc/emergency.h"
 
 #include <math.h>
+#include <stddef.h>
 
 #include "obc/numeric.h"
 #include "obc/pure_pursuit.h"
@@ -27,7 +28,7 @@ static void reckon(emergency *self, const emergency_input *in, const vehicle_cor
 {
     const float steer = isfinite(in->road_wheel_angle) ? in->road_wheel_angle : 0.0f;
     vehicle_motion_step(&self->car, tyres, self->speed, level, steer, period);
-    if (in->wall_count != self->wall_count) {
+    if (in->wall != NULL && in->wall_count != self->wall_count) {
         self->wall_count = in->wall_count;
         self->wall = *in->wall;
         self->car.x = 0.0f;
@@ -39,8 +40,9 @@ static void reckon(emergency *self, const emergency_input *in, const vehicle_cor
 void emergency_step(emergency *self, const emergency_input *in, const motion_predictor *predictor,
                     emergency_output *out)
 {
-    const bool fresh = in->wall_age_ms <= in->wall_timeout_ms;
-    const bool held = in->engaged && in->wall_age_ms <= in->wall_timeout_ms + EMERGENCY_HOLD_MS;
+    const bool seen = in->wall != NULL;
+    const bool fresh = seen && in->wall_age_ms <= in->wall_timeout_ms;
+    const bool held = seen && in->engaged && in->wall_age_ms <= in->wall_timeout_ms + EMERGENCY_HOLD_MS;
     vehicle_cornering tyres;
     wall_foot foot;
     observe_speed(self, in->wheel_speed);

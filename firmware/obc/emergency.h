@@ -21,7 +21,7 @@
 #define EMERGENCY_DECELERATION 8.0f
 
 typedef struct emergency_input {
-    const wall_polynomial *wall; /* newest */
+    const wall_polynomial *wall; /* newest, or null */
     uint32_t wall_count;         /* changes with every new wall */
     uint16_t wall_age_ms;
     uint16_t wall_timeout_ms;
@@ -49,7 +49,7 @@ typedef struct emergency {
 } emergency;
 
 /* One period, 100 Hz, in every state of the car, so that the controller is warm.
- * input: all pointers not null; a value that is not finite makes the output invalid. */
+ * All pointers but the wall not null; a value that is not finite makes the output invalid. */
 void emergency_step(emergency *self, const emergency_input *input, const motion_predictor *predictor,
                     emergency_output *output);
 

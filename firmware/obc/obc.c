@@ -154,7 +154,7 @@ static void run_control(void *context)
         .plan = trajectory_receiver_latest(&self->plans),
         .estimate = estimate(self),
         .feedback = self->vehicle.control,
-        .wall = &self->wall.wall,
+        .wall = self->wall.seen ? &self->wall.wall : NULL,
         .wall_count = self->wall.count,
         .wall_age_ms = wall_receiver_age_ms(&self->wall, self->io.now_us),
         .wall_timeout_ms = wall_receiver_timeout_ms(),

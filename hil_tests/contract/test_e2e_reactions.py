@@ -253,7 +253,7 @@ def test_plans_walls_and_node_states_have_their_own_counters(name: str, row: Row
     noticed = run.noticed(control(onboard_computer))
     assert bool(noticed) == OTHERWISE[row.fault, row.shape]
     expected = {"node": {"planning_stalled"}, "trajectory": {"plan_stale"}, "wall": {"wall_missing"}}
-    assert not noticed or expected[name.split("_")[0]] <= run.missed(-1)
+    assert not noticed or expected[name.partition("_")[0]] <= run.missed(-1)
 
 
 # --- asymmetric information and partial reception: three receivers of one request

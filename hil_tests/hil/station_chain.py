@@ -15,6 +15,7 @@ from autonomy.track_files import load_track
 from bridge._native import ffi, lib
 from bridge.bus import Network
 from bridge.realtime.autonomy_station import AutonomyStation
+from bridge.realtime.cloud import CloudReceiver, CloudSender
 from bridge.realtime.plant_station import PlantStation
 from bridge.realtime.truth_file import TruthWriter
 from bridge.realtime.wired import Cell, WiredIo
@@ -134,8 +135,9 @@ class Chain:
             self.truth_path, plant.output_names, plant.output_units, scenario.time_limit_us // TICK_US + 1
         )
         self.said: list[str] = []
-        self.plant = PlantStation(self.surroundings, scenario, self.wires, self.truth, self.said.append)
-        self.autonomy = AutonomyStation(make_autonomy(scenario, road))
+        self.clouds = CloudReceiver(folder / "clouds"), CloudSender(folder / "clouds")
+        self.plant = PlantStation(self.surroundings, scenario, self.wires, self.truth, self.said.append, self.clouds[1])
+        self.autonomy = AutonomyStation(make_autonomy(scenario, road), self.clouds[0])
         self.held: set[Station] = set()
         self.slot = 0
         self._outbox: Any = ffi.new("can_outbox *")
@@ -157,6 +159,8 @@ class Chain:
 
     def __exit__(self, *_: object) -> None:
         self.surroundings.close()
+        for clouds in self.clouds:
+            clouds.close()
         self.truth.close()
         self.wires.close()
 

@@ -227,9 +227,10 @@ def test_motors_of_a_space_drive_that_is_gone_stay(chain: Chain):
 
 
 def test_an_orderly_stop_of_autonomy_is_read_by_the_ssm(chain: Chain):
-    """INACTIVE comes first: the SSM degrades at once, and stops the car when silence follows."""
+    """INACTIVE comes first: the SSM degrades at once, and stops the car when silence follows: beside the wall while the
+    last look at it holds, then by full brake."""
     conditions, ssm = chain.obc.conditions, chain.obc.ssm
-    not_ok = (lib.FAULT_ESTIMATION_NOT_OK, lib.FAULT_PLANNING_NOT_OK)
+    not_ok = (lib.FAULT_ESTIMATION_NOT_OK, lib.FAULT_PLANNING_NOT_OK, lib.FAULT_WALL_NOT_OK)
     assert not any(conditions.present[fault] for fault in not_ok)
     chain.carrier.send(Station.AUTONOMY, chain.autonomy.end(), Bus.CAN_A)
     chain.held = {Station.AUTONOMY}
@@ -241,6 +242,8 @@ def test_an_orderly_stop_of_autonomy_is_read_by_the_ssm(chain: Chain):
     assert ssm.state == lib.SSM_DEGRADED
     chain.steps(20)
     assert conditions.present[lib.FAULT_ESTIMATION_FAILED]
+    assert (ssm.state, chain.obc.ssm_output.controller) == (lib.SSM_EMERGENCY, lib.CONTROL_EMERGENCY)
+    chain.steps(40)
     assert ssm.state == lib.SSM_FULL_BRAKE
 
 

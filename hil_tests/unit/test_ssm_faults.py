@@ -61,7 +61,7 @@ def test_row_matches_source(fault: Fault) -> None:
     expected: tuple[int | None, int | None] = (fault.speed_percent, fault.acceleration_percent)
     if fault.reaction in ("none", "warn"):
         expected = (100, 100)
-    elif fault.reaction in ("safe_stop", "full_brake"):
+    elif fault.reaction in ("safe_stop", "emergency_stop", "full_brake"):
         expected = (0, 0)
     assert (row.share.speed, row.share.acceleration) == expected
 
