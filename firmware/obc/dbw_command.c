@@ -76,6 +76,15 @@ static setpoint gate(const dbw_demand *demand, const dbw_limits *limits, uint8_t
     }
 }
 
+/* A computer that starts anew in a turn leaves the wheels where they are: straight ahead would be a jump. */
+static void take_over_wheels(dbw_command *self, const dbw_demand *demand, const dbw_limits *limits)
+{
+    if (!self->wheels_taken_over && demand->wheels_known && isfinite(demand->wheels_found)) {
+        self->road_wheel_angle = clamp(demand->wheels_found, -limits->steering_limit, limits->steering_limit);
+        self->wheels_taken_over = true;
+    }
+}
+
 /* Follow the wanted angle within limit and slew rate, or hold. */
 static float steer(float last, const dbw_demand *demand, const dbw_limits *limits, bool follow)
 {
@@ -212,6 +221,7 @@ uint8_t dbw_command_step(dbw_command *self, const dbw_demand *demand, const dbw_
     const uint8_t mode = violations == 0U ? demand->mode : (uint8_t)DBW_FULL_BRAKE;
     const setpoint command = gate(demand, limits, mode);
     const bool follow = demand->steer && (violations & DBW_VIOLATION_STEERING) == 0U;
+    take_over_wheels(self, demand, limits);
     self->road_wheel_angle = steer(self->road_wheel_angle, demand, limits, follow);
     self->throttle = command.throttle;
     self->brake_pressure = command.brake_pressure;

@@ -42,9 +42,11 @@ typedef struct dbw_limits {
 /* What is wanted in this cycle. */
 typedef struct dbw_demand {
     uint8_t mode; /* enum dbw_mode; unknown: full brake */
-    bool steer;   /* road_wheel_angle is to be followed; false: the last command is held */
+    bool steer;   /* road_wheel_angle is to be followed; false: the last command is held, at first the wheels' own */
     bool standing_still;
     float road_wheel_angle;     /* rad, left positive */
+    float wheels_found;         /* rad, where the wheels are, when wheels_known */
+    bool wheels_known;          /* the Raptor reports them */
     float throttle;             /* 0..1 */
     float brake_pressure;       /* Pa */
     uint8_t gear;               /* 0..6 */
@@ -65,6 +67,7 @@ typedef struct dbw_ct_report {
 /* State: zero it to start. */
 typedef struct dbw_command {
     float road_wheel_angle; /* last one commanded, rad */
+    bool wheels_taken_over; /* the first command was where the wheels were found */
     float throttle;         /* last one commanded, 0..1 */
     float brake_pressure;   /* last one commanded, Pa */
     uint8_t gear;           /* last one commanded */

@@ -290,6 +290,8 @@ static void run_dbw(void *context)
         .steer = steering_follows(self),
         .standing_still = standing_still(self),
         .road_wheel_angle = control->road_wheel_command,
+        .wheels_found = self->vehicle.control.road_wheel_angle,
+        .wheels_known = reported(self, VEHICLE_STEERING, PARAMETER_STEERING_REPORT_TIMEOUT),
         /* Control learns of a safe stop in the next tick; no throttle leaves in this one, and none during the stop. */
         .throttle = fresh && !self->ssm_output.safe_stop ? control->throttle : 0.0f,
         .brake_pressure = brake_more ? holding : control->brake_pressure,

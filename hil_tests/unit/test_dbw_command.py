@@ -200,6 +200,23 @@ def test_slew_rate_and_hold() -> None:
     assert steering(dbw.step(road_wheel_angle=-0.26)) == angles[1]
 
 
+@pytest.mark.parametrize("found", [0.1, -0.1])
+def test_wheels_are_taken_over_where_they_are_found(found: float) -> None:
+    dbw = Dbw(steering_slew=0.6)
+    there = pytest.approx(math.degrees(found * 15), abs=0.25)
+    assert steering(dbw.step(steer=False, wheels_found=found)) == 0  # not known
+    assert steering(dbw.step(steer=False, wheels_found=math.nan, wheels_known=True)) == 0
+    assert steering(dbw.step(steer=False, wheels_found=found, wheels_known=True)) == there
+    # Once only: from then on the command leads and the wheels follow.
+    assert steering(dbw.step(steer=False, wheels_found=0.2, wheels_known=True)) == there
+    followed = steering(dbw.step(road_wheel_angle=0.0, wheels_found=0.2, wheels_known=True))
+    assert abs(followed) == pytest.approx(math.degrees((0.1 - 0.006) * 15), abs=0.25)
+
+
+def test_wheels_beyond_the_limit_are_taken_over_at_the_limit() -> None:
+    assert steering(Dbw().step(steer=False, wheels_found=0.3, wheels_known=True)) == pytest.approx(223.5, abs=0.25)
+
+
 def test_rounding_to_the_nearest_step() -> None:
     seed = 20261
     print(f"seed {seed}")
