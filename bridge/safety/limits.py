@@ -182,7 +182,7 @@ def _parameters() -> Mapping[str, Parameter]:
 def _degraded_shares() -> Mapping[int, tuple[float, float]]:
     return {
         fault.id: (fault.speed_percent / 100.0, fault.acceleration_percent / 100.0)
-        for fault in load_faults()
+        for fault in own_faults()
         if fault.speed_percent is not None and fault.acceleration_percent is not None
     }
 

@@ -121,6 +121,7 @@ def test_page_json_and_junit_say_the_same(done: tuple[str, Path]) -> None:
     assert (suite.get("tests"), suite.get("failures")) == (str(len(FAULTS)), "1")
     assert [case.get("name") for case in suite if len(case)] == ["brake_fades"]
     assert digest(page) == summary["results_sha256"]
+    assert "…" not in page
 
 
 def test_the_number_of_workers_does_not_matter(done: tuple[str, Path], file: Path, tmp_path: Path) -> None:
