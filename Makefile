@@ -57,6 +57,10 @@ test: build ## Run all tests
 test-vcan: build ## Run the SocketCAN tests: on this kernel if it has vcan, else on Debian's kernels under QEMU
 	$(BIN)/python -m tools.vcan_machine
 
+.PHONY: matrix
+matrix: build ## Run the whole reaction matrix: every fault by operating state and duration; the table to OUT/reactions
+	$(BIN)/python -m pytest -q -n 2 --dist loadgroup -m matrix --reactions '$(OUT)/reactions' hil_tests/hil/test_reaction_matrix.py
+
 .PHONY: bench
 bench: build ## Measure this loop side by side with the plain loop a user would write
 	$(BIN)/raceloop bench

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import signal
+from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -56,10 +58,48 @@ class SkipGuard:
             terminalreporter.write_line(f"FAILED: skip that hil_tests/conftest.py does not allow: {reason}", red=True)
 
 
+class ReactionReport:
+    """Gathers what the cells of the reaction matrix have measured, from all workers."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.rows: list[dict[str, Any]] = []
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        if report.when == "call":
+            self.rows += [row for name, row in report.user_properties if name == "reaction" and isinstance(row, dict)]
+
+    def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
+        if self.rows:
+            from tools.reactions.report import as_text, write
+
+            write(self.rows, self.folder)
+            terminalreporter.write_line(as_text(self.rows))
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--reactions", type=Path, default=None, help="folder for the table of the reaction matrix")
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Of the reaction matrix only its share, unless it is asked for by its marker or by a cell's name."""
+    if "matrix" in config.option.markexpr.replace("not matrix", "") or any("test_cell[" in one for one in config.args):
+        return
+    markers = {item: item.get_closest_marker("matrix") for item in items}
+    left_out = [item for item, marker in markers.items() if marker is not None and not marker.kwargs["share"]]
+    if left_out:
+        config.hook.pytest_deselected(items=left_out)
+        gone = set(left_out)
+        items[:] = [item for item in items if item not in gone]
+
+
 def pytest_configure(config: pytest.Config) -> None:
     # A shell lets what it starts in the background ignore Ctrl-C, and so it would be inherited.
     signal.signal(signal.SIGINT, signal.default_int_handler)
     config.pluginmanager.register(SkipGuard(), "skip-guard")
+    folder = config.getoption("--reactions")
+    if folder is not None and not hasattr(config, "workerinput"):
+        config.pluginmanager.register(ReactionReport(folder), "reaction-report")
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:

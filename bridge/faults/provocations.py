@@ -57,6 +57,7 @@ class Detection:
     period_ms : between two samples; None for that of the message.
     frames : samples in a row, a number or the name of a limit.
     later_ms, spread_ms, tail_ms : see the file.
+    hold_ms : how long one sample keeps the condition up; None for until the next one.
     """
 
     since_last: bool = False
@@ -66,6 +67,7 @@ class Detection:
     later_ms: int = 0
     spread_ms: int = 0
     tail_ms: int = 0
+    hold_ms: int | None = None
 
 
 @dataclass(frozen=True)
@@ -80,7 +82,9 @@ class Provocation:
     exceptions : operating states in which it cannot be brought about, with the reason.
     again_every_us : an event is repeated so often to keep its condition up; 0: no event.
     durations : times of a plan by duration, where they do not follow; None where there is no such duration.
+    resets : taking it away from a standing car is a reset by the operator.
     excused : ids of safety properties that it breaks by itself.
+    leaves_track : operating states from which the car slides beyond the edge of the track while it stops.
     reaction, diagnostic : of layers other than ssm; bits of diagnostic_report by name.
     """
 
@@ -93,7 +97,9 @@ class Provocation:
     exceptions: Mapping[str, str] = field(default_factory=dict)
     again_every_us: int = 0
     durations: Mapping[Duration, Mapping[str, Any] | None] = field(default_factory=dict)
+    resets: bool = False
     excused: tuple[str, ...] = ()
+    leaves_track: tuple[str, ...] = ()
     reaction: str = ""
     diagnostic: tuple[str, ...] = ()
 
@@ -128,15 +134,17 @@ class Provoker:
         begin_us = first_us + self._lead_us(provocation) + self._lag_us(provocation) + detection.later_ms * 1000
         return begin_us, begin_us + detection.spread_ms * 1000
 
-    def end_us(self, provocation: Provocation, sound_us: int) -> tuple[int, int]:
+    def end_us(self, provocation: Provocation, last_us: int) -> tuple[int, int]:
         """When the condition is gone at the earliest and at the latest.
 
         Parameters
         ----------
-        sound_us : when nothing is befallen any more: the next frame, or the next tick.
+        last_us : when the injection has last befallen something (`Injection.last_us`); the next sample is sound.
         """
-        gone_us = sound_us + self._lag_us(provocation)
-        return gone_us, gone_us + provocation.detection.tail_ms * 1000 + self._cycle_us(provocation)
+        detection = provocation.detection
+        hold_us = self._cycle_us(provocation) if detection.hold_ms is None else detection.hold_ms * 1000
+        gone_us = last_us + hold_us + self._lag_us(provocation)
+        return gone_us, gone_us + detection.tail_ms * 1000
 
     def plans(
         self, provocation: Provocation, duration: Duration, debounce_cycles: int = 1
@@ -286,12 +294,15 @@ def _provocation(path: Path, layer: str, name: str, entry: Mapping[str, Any], da
             later_ms=told.get("later_ms", 0),
             spread_ms=told.get("spread_ms", 0),
             tail_ms=told.get("tail_ms", 0),
+            hold_ms=told.get("hold_ms"),
         ),
         companions=tuple(entry.get("with", ())),
         exceptions=entry.get("except", {}),
         again_every_us=round(entry.get("again_every_s", 0.0) * 1e6),
         durations={Duration(key): times for key, times in entry.get("durations", {}).items()},
+        resets=entry.get("resets", False),
         excused=tuple(entry.get("excused", ())),
+        leaves_track=tuple(entry.get("leaves_track", ())),
         reaction=entry.get("reaction", ""),
         diagnostic=tuple(entry.get("diagnostic", ())),
     )
@@ -350,7 +361,7 @@ def _schema() -> dict[str, Any]:
                 "since": {"enum": ["first", "last"]},
                 "limit": limit,
                 "frames": {"type": ["integer", "string"]},
-                **dict.fromkeys(("period_ms", "later_ms", "spread_ms", "tail_ms"), count),
+                **dict.fromkeys(("period_ms", "later_ms", "spread_ms", "tail_ms", "hold_ms"), count),
             },
         },
         "with": names,
@@ -365,7 +376,9 @@ def _schema() -> dict[str, Any]:
             "additionalProperties": False,
             "properties": {"at": times, "below": times},
         },
+        "resets": {"type": "boolean"},
         "excused": names,
+        "leaves_track": {"type": "array", "items": {"enum": list(OPERATING_STATES)}},
     }
     either = [{"required": ["faults"]}, {"required": ["reason"]}]
 
