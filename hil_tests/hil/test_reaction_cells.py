@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -11,6 +12,8 @@ from bridge.faults.provocations import Detection
 from tools.reactions.cells import Cell, Matrix
 from tools.reactions.run import Measurement, run_cell
 from tools.reactions.states import OperatingStates
+
+MATRIX = Matrix()
 
 
 @pytest.fixture(scope="module")
@@ -22,7 +25,7 @@ def states() -> Iterator[OperatingStates]:
 
 @pytest.fixture
 def matrix() -> Matrix:
-    found = Matrix()
+    found = copy.copy(MATRIX)
     found.faults = dict(found.faults)
     found.provocations = {layer: dict(rows) for layer, rows in found.provocations.items()}
     return found

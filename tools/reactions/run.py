@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 from bridge.faults.injector import Injection
 from bridge.faults.provocations import Duration
 from bridge.observed_bench import ObservedBench
-from bridge.surroundings import TICK_US
+from bridge.surroundings import STANDSTILL_SPEED, TICK_US
 from dbc.states import SysState, TrackFlag
 from firmware.parameters import load_operation
 from firmware.tables import CONTROLLERS, REACTIONS, Fault
@@ -22,6 +23,8 @@ from tools.reactions.trace import Trace
 _TWO_FRAMES_MS = 20
 #: Pressure at the wheels has risen when it is so much above what it was, Pa.
 _RISE_PA = 5.0e5
+#: A car that has just stopped rocks on its tyres no faster, m/s.
+_ROCKING_SPEED = 0.3
 #: A full brake locks the wheels, and from here a car with locked wheels slides beyond the edge: see docs/safety.md.
 _SLIDES_FROM = "turn"
 #: Longest time to standstill from anywhere, and to what the injection befalls first.
@@ -75,6 +78,7 @@ class _Run:
         self.result = Measurement(cell, speed=bench.truth.vx)
         self.reacts = self.duration is not Duration.BELOW and matrix.supervised(cell)
         self.operation = dict(load_operation(bench.scenario.operation))
+        self.full_pa = float(self.operation["full_brake_pressure"])  # type: ignore[arg-type]
 
     @property
     def brakes_fully(self) -> bool:
@@ -104,12 +108,23 @@ class _Run:
         assert all(injection.done for injection in injections)
         return self.matrix.provoker.end_us(self.provocation, last_us)
 
-    def stand(self, why: str) -> None:
-        """Run until the car stands."""
-        if not self.trace.run_to(lambda: self.bench.situation.standstill, self.bench.now_us + _STOP_US):
-            self.complain(f"{why}: the car still rolls at {self.bench.truth.vx:.1f} m/s")
+    def stand(self, why: str, measure: bool = True) -> None:
+        """Run until the car stands, sliding counted, and a little longer: it has to stay."""
+        if not self.trace.run_to(lambda: self.speed() < STANDSTILL_SPEED, self.bench.now_us + _STOP_US):
+            self.complain(f"{why}: the car still moves at {self.speed():.1f} m/s")
+            return
+        if measure:
+            self.measure_brakes()
+        self.trace.run_until(self.bench.now_us + _NOTHING_US)
+        if self.speed() > _ROCKING_SPEED:
+            self.complain(f"{why}: the car moves again at {self.speed():.1f} m/s")
+
+    def speed(self) -> float:
+        """True speed, whichever way the car points, m/s."""
+        return math.hypot(self.bench.truth.vx, self.bench.truth.vy)
 
     def complain(self, text: str) -> None:
+        """Note what is not as it should be."""
         self.result.complaints.append(text)
 
     # --- what was seen
@@ -122,9 +137,9 @@ class _Run:
         rows = zip(times.tolist(), numbers.tolist(), active.tolist(), strict=True)
         return [(time_us, names[int(number)], bool(on)) for time_us, number, on in rows]
 
-    def happened(self, name: str, active: bool = True, after_us: int = 0) -> int | None:
+    def happened(self, name: str, active: bool = True) -> int | None:
         """When a fault was told, first."""
-        found = (time_us for time_us, one, on in self.events() if (one, on) == (name, active) and time_us >= after_us)
+        found = (time_us for time_us, one, on in self.events() if (one, on) == (name, active))
         return next(found, None)
 
     def first_after(
@@ -143,9 +158,8 @@ class _Run:
         # A car that brakes already has nothing to show but for a full brake.
         tells = risen.size and (self.brakes_fully or before < _RISE_PA)
         self.result.brake_us = int(risen[0]) if tells else None
-        times, speed = self.trace.truth("vx")
-        _, distance = self.trace.truth("distance")
-        if self.result.speed > 1.0 and abs(speed[-1]) < 0.1:
+        times, distance = self.trace.truth("distance")
+        if self.result.speed > 1.0:
             place = int(np.searchsorted(times, self.begin_us))
             self.result.stop_distance_m = float(distance[-1] - distance[place])
 
@@ -156,6 +170,16 @@ class _Run:
         elif not earliest_us <= seen_us <= latest_us:
             window = f"{earliest_us / 1e6:.3f} to {latest_us / 1e6:.3f} s"
             self.complain(f"{what}: at {seen_us / 1e6:.4f} s, allowed is {window}")
+
+    def complain_of_others(self, allowed: set[str]) -> None:
+        """Every fault that was told and does not belong here."""
+        found: dict[str, int] = {}
+        for time_us, name, active in self.events():
+            if active and name not in allowed:
+                found.setdefault(name, time_us)
+        for name, time_us in found.items():
+            after_ms = (time_us - self.result.injected_us) / 1000
+            self.complain(f"unexpected fault {name}, {after_ms:.0f} ms after the injection")
 
     def judge_safety(self) -> None:
         """The safety properties have held but for those that the injection itself breaks."""
@@ -223,30 +247,39 @@ class SsmRun(_Run):
         self.judge_window("fault_event", result.event_us, earliest_us, latest_us + TICK_US)
         if result.event_us is None:
             return
-        tick_us = result.event_us // TICK_US * TICK_US  # where the begin is known less well than to the tick
-        earliest_us = max(earliest_us, tick_us if self.begin_us < self.latest_us else 0)
         level = REACTIONS.index(fault.reaction)
-        ssm_us = self.first_after(earliest_us, "ssm_status", "ssm_reaction", lambda values: values >= level)
-        self.judge_window(f"reaction {fault.reaction} on CAN-A", ssm_us, earliest_us, latest_us)
-        can1_us = self.command_frame(earliest_us)
-        if can1_us is not None or self.stops:
-            self.judge_window(f"reaction {fault.reaction} on CAN1", can1_us, 0, latest_us)
-        shown = [seen_us for seen_us in (can1_us if self.stops else ssm_us, ssm_us) if seen_us is not None]
-        result.reaction_us = shown[0] if shown else None
-        if not self.stops and level > REACTIONS.index("warn"):
+        ssm_us = self.first_after(result.injected_us, "ssm_status", "ssm_reaction", lambda values: values >= level)
+        first_us = self.companions_us(level, earliest_us)
+        self.judge_window(f"reaction {fault.reaction} on CAN-A", ssm_us, first_us, latest_us)
+        active_us = result.event_us // TICK_US * TICK_US
+        result.reaction_us = self.first_after(active_us, "ssm_status", "ssm_reaction", lambda values: values >= level)
+        if self.stops:
+            result.reaction_us = self.judge_commands(active_us, first_us, latest_us)
+        elif level > REACTIONS.index("warn"):
             self.judge_degradation(earliest_us, latest_us)
 
-    def command_frame(self, after_us: int) -> int | None:
-        """Time by which the commands on CAN1 are those of the reaction; None when it has no commands of its own."""
-        if not self.stops:
-            return None
-        shut = self.first_after(after_us, "accelerator_cmd", "acc_pedal_cmd", lambda values: values <= 0.0)
-        if self.fault.reaction != "full_brake":
+    def companions_us(self, level: int, earliest_us: int) -> int:
+        """From when on a reaction of this level may be seen: a companion may have asked for it before."""
+        levels = {name: REACTIONS.index(fault.reaction) for name, fault in self.matrix.faults.items()}
+        others = self.allowed - {self.fault.name}
+        before = [time_us for time_us, name, on in self.events() if on and name in others and levels[name] >= level]
+        return min([earliest_us, *(time_us // TICK_US * TICK_US for time_us in before)])
+
+    def judge_commands(self, active_us: int, earliest_us: int, latest_us: int) -> int | None:
+        """The commands on CAN1 are those of a stop; returns the time by which they were.
+
+        A throttle may be shut before for other reasons, a full brake may not.
+        """
+        shut = self.first_after(active_us, "accelerator_cmd", "acc_pedal_cmd", lambda values: values <= 0.0)
+        self.judge_window("throttle shut on CAN1", shut, 0, latest_us)
+        if not self.brakes_fully:
             return shut
-        full_kpa = float(self.operation["full_brake_pressure"]) / 1000.0  # type: ignore[arg-type]
-        braked = self.first_after(
-            after_us, "brake_pressure_cmd", "brake_pressure_cmd", lambda values: values >= full_kpa
-        )
+        full_kpa = self.full_pa / 1000.0
+        begin_us = self.result.injected_us
+        braked = self.first_after(begin_us, "brake_pressure_cmd", "brake_pressure_cmd", lambda kpa: kpa >= full_kpa)
+        # What is seen a tick later, by its own trace, may have been answered in the tick itself.
+        told_later_us = self.provocation.detection.later_ms * 1000
+        self.judge_window("full brake on CAN1", braked, earliest_us - told_later_us, latest_us)
         return None if shut is None or braked is None else max(shut, braked)
 
     def judge_degradation(self, after_us: int, latest_us: int) -> None:
@@ -267,8 +300,8 @@ class SsmRun(_Run):
         """The condition stays: so does the reaction; the car stops when it is to."""
         if self.stops:
             self.stand("permanent")
-            self.measure_brakes()
-        self.trace.run_until(self.bench.now_us + _NOTHING_US)
+        else:
+            self.trace.run_until(self.bench.now_us + _NOTHING_US)
         if (cleared := self.happened(self.fault.name, active=False)) is not None:
             self.complain(f"{self.fault.name} cleared at {cleared / 1e6:.3f} s while its condition was there")
         times, values = self.trace.signal("ssm_status", "ssm_reaction")
@@ -285,15 +318,12 @@ class SsmRun(_Run):
             self.trace.run_until(cleared_latest_us + TICK_US)
             seen_us = self.happened(self.fault.name, active=False)
             self.judge_window("cleared", seen_us, cleared_us, cleared_latest_us)
+            self.judge_return()
             return
         self.trace.run_until(cleared_latest_us + _NOTHING_US)
-        if self.stops:
-            self.stand("after the condition")
-            self.measure_brakes()
-        elif not self.bench.situation.standstill:
+        if not self.stops and not self.bench.situation.standstill:
             self.bench.race_control.track_flag = TrackFlag.RED
-            self.stand("red flag")
-        self.trace.run_until(self.bench.now_us + _NOTHING_US)
+        self.stand("after the condition", measure=self.stops)
         early = self.happened(self.fault.name, active=False)
         if self.provocation.resets and self.cell.state == "standstill":
             self.judge_window("cleared by its own end", early, cleared_us, cleared_latest_us)
@@ -301,6 +331,13 @@ class SsmRun(_Run):
         if early is not None:
             self.complain(f"{self.fault.name} cleared at {early / 1e6:.3f} s, before any reset")
         self.reset()
+
+    def judge_return(self) -> None:
+        """Without any fault left the SSM is what it was before."""
+        active = {name: on for _, name, on in self.events()}
+        _, reactions = self.trace.signal("ssm_status", "ssm_reaction")
+        if not any(active.values()) and reactions[-1] != REACTIONS.index("none"):
+            self.complain(f"reaction {REACTIONS[int(reactions[-1])]} with every fault cleared")
 
     def reset(self) -> None:
         """The operator withdraws the request and asks again, at standstill."""
@@ -318,13 +355,7 @@ class SsmRun(_Run):
 
     def judge_others(self) -> None:
         """No fault but those that belong to it."""
-        found: dict[str, int] = {}
-        for time_us, name, active in self.events():
-            if active and name not in self.allowed:
-                found.setdefault(name, time_us)
-        for name, time_us in found.items():
-            after_ms = (time_us - self.result.injected_us) / 1000
-            self.complain(f"unexpected fault {name}, {after_ms:.0f} ms after the injection")
+        self.complain_of_others(self.allowed)
 
 
 class LowerRun(_Run):
@@ -344,7 +375,6 @@ class LowerRun(_Run):
             self.judge_reaction(stops)
             if stops:
                 self.stand("full brake")
-                self.measure_brakes()
             if self.duration is Duration.AT:
                 self.await_end(injections)
             self.trace.run_until(self.bench.now_us + _NOTHING_US)
@@ -393,8 +423,7 @@ class LowerRun(_Run):
         if not stops:
             return
         demand = self.bench.wiring.space_drive_out.brake_pressure_demand
-        full = float(self.operation["full_brake_pressure"])  # type: ignore[arg-type]
-        if demand < 0.999 * full:
+        if demand < 0.999 * self.full_pa:
             self.complain(f"the brake demand is {demand / 1e6:.2f} MPa at the end; it stays full until a restart")
         if self.bench.wiring.raptor_out.throttle_demand > 0.0:
             self.complain("the throttle is open at the end")
@@ -411,10 +440,7 @@ class LowerRun(_Run):
 
     def judge_others(self) -> None:
         """No fault of the SSM but those that belong to it."""
-        for time_us, name, active in self.events():
-            if active and name not in self.provocation.companions:
-                after_ms = (time_us - self.result.injected_us) / 1000
-                self.complain(f"unexpected fault {name}, {after_ms:.0f} ms after the injection")
+        self.complain_of_others(set(self.provocation.companions))
 
 
 def run_cell(matrix: Matrix, bench: ObservedBench, cell: Cell) -> Measurement:

@@ -12,7 +12,7 @@ from bridge.safety.track import TrackEdges
 from dbc.codec import profile
 from dbc.frames import FRAME_DTYPE
 
-_OUTPUTS = ("vx", "distance", "brake_pressure_front", "x", "y")
+_OUTPUTS = ("distance", "brake_pressure_front", "x", "y")
 
 
 class Trace:
