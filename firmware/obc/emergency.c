@@ -24,11 +24,20 @@ static void observe_speed(emergency *self, float wheel_speed)
     self->acceleration += smoothing * ((self->speed - before) / period - self->acceleration);
 }
 
+static bool finite_wall(const wall_polynomial *wall)
+{
+    bool finite = isfinite(wall->begin) && isfinite(wall->end);
+    for (uint32_t i = 0U; i < WALL_COEFFICIENTS; i++) {
+        finite = finite && isfinite(wall->coefficient[i]);
+    }
+    return finite;
+}
+
 static void reckon(emergency *self, const emergency_input *in, const vehicle_cornering *tyres)
 {
     const float steer = isfinite(in->road_wheel_angle) ? in->road_wheel_angle : 0.0f;
     vehicle_motion_step(&self->car, tyres, self->speed, level, steer, period);
-    if (in->wall != NULL && in->wall_count != self->wall_count) {
+    if (in->wall != NULL && in->wall_count != self->wall_count && finite_wall(in->wall)) {
         self->wall_count = in->wall_count;
         self->wall = *in->wall;
         self->car.x = 0.0f;
@@ -40,15 +49,15 @@ static void reckon(emergency *self, const emergency_input *in, const vehicle_cor
 void emergency_step(emergency *self, const emergency_input *in, const motion_predictor *predictor,
                     emergency_output *out)
 {
-    const bool seen = in->wall != NULL;
-    const bool fresh = seen && in->wall_age_ms <= in->wall_timeout_ms;
-    const bool held = seen && in->engaged && in->wall_age_ms <= in->wall_timeout_ms + EMERGENCY_HOLD_MS;
     vehicle_cornering tyres;
     wall_foot foot;
     observe_speed(self, in->wheel_speed);
     vehicle_steady_cornering(self->speed, self->curvature, level, &tyres);
     reckon(self, in, &tyres);
 
+    const bool seen = in->wall != NULL && in->wall_count == self->wall_count;
+    const bool fresh = seen && in->wall_age_ms <= in->wall_timeout_ms;
+    const bool held = seen && in->engaged && in->wall_age_ms <= in->wall_timeout_ms + EMERGENCY_HOLD_MS;
     *out = (emergency_output){.speed = self->speed, .acceleration = self->acceleration};
     if (!fresh) {
         out->road_wheel_angle = tyres.steer;

@@ -281,3 +281,51 @@ def test_state_that_does_not_exist_is_a_full_brake() -> None:
     ssm.c.state = 7
     assert ssm.step() == lib.SSM_FULL_BRAKE
     assert nothing_allowed(ssm.out)
+
+
+def test_an_emergency_stop_follows_the_wall_until_a_reset_at_standstill() -> None:
+    ssm = Ssm().driving()
+    ssm.input.wall_followed = True
+    assert ssm.step() == lib.SSM_NOMINAL
+    assert ssm.out.controller == lib.CONTROL_LQR, "a wall alone changes nothing"
+    ssm.step(EMERGENCY_STOP, count=lib.fault_table[EMERGENCY_STOP].debounce_cycles)
+    assert (ssm.out.state, ssm.out.controller) == (lib.SSM_EMERGENCY, lib.CONTROL_EMERGENCY)
+    assert (ssm.out.reaction, ssm.out.worst_fault) == (lib.FAULT_REACTION_EMERGENCY_STOP, EMERGENCY_STOP)
+    assert ssm.out.safe_stop
+    assert ssm.limits == (0.0, 0.0, NOMINAL_LIMITS[2])
+    assert ssm.stays(lib.SSM_EMERGENCY, count=200), "the condition has gone, the latch holds"
+    assert ssm.out.controller == lib.CONTROL_EMERGENCY
+    ssm.input.standing_still, ssm.input.driving = True, False
+    ssm.input.launch_wanted = False
+    ssm.step(count=5)
+    ssm.input.launch_wanted = True
+    assert ssm.step() == lib.SSM_LAUNCHING
+
+
+def test_an_emergency_stop_without_a_wall_is_a_full_brake_for_good() -> None:
+    ssm = Ssm().driving()
+    ssm.step(EMERGENCY_STOP, count=lib.fault_table[EMERGENCY_STOP].debounce_cycles)
+    assert (ssm.out.state, ssm.out.controller) == (lib.SSM_FULL_BRAKE, lib.CONTROL_NONE)
+    assert nothing_allowed(ssm.out)
+    ssm.input.wall_followed = True
+    assert ssm.stays(lib.SSM_FULL_BRAKE, count=200)
+    assert ssm.out.controller == lib.CONTROL_EMERGENCY, "a full brake is steered by what is there"
+
+
+def test_a_wall_that_is_lost_during_the_stop_ends_it() -> None:
+    ssm = Ssm().driving()
+    ssm.input.wall_followed = True
+    ssm.step(EMERGENCY_STOP, count=lib.fault_table[EMERGENCY_STOP].debounce_cycles)
+    ssm.input.wall_followed = False
+    assert ssm.step(EMERGENCY_STOP) == lib.SSM_FULL_BRAKE
+    assert ssm.out.controller == lib.CONTROL_NONE
+
+
+def test_a_car_that_knows_where_it_is_never_follows_the_wall() -> None:
+    for fault in range(1, lib.FAULT_COUNT):
+        if lib.fault_table[fault].reaction == lib.FAULT_REACTION_EMERGENCY_STOP:
+            continue
+        ssm = Ssm().driving()
+        ssm.input.wall_followed = True
+        ssm.step(fault, count=lib.fault_table[fault].debounce_cycles)
+        assert ssm.out.controller != lib.CONTROL_EMERGENCY
