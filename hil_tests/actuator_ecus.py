@@ -15,7 +15,9 @@ from dbc.codec import database
 from dbc.frames import FRAME_SIZE, Bus, Frame, iterate
 
 TICK_US = 10_000
-FULL_BRAKE = 6.0e6
+FULL_BRAKE = 4.5e6
+BRAKE_STOP = 6.0e6  # at count 0 on CAN3
+FULL_BRAKE_COUNTS = round(0x4000 * (1.0 - FULL_BRAKE / BRAKE_STOP))
 DEG = 0.017453292519943295
 OUTBOX = 96
 
@@ -145,7 +147,7 @@ class Requests:
         return message_frame("req_steer_pos", self.counter, cntrl_pos=position, veh_speed=self.speed_kmh)
 
     def brake_frame(self, counts: int | None = None) -> bytes:
-        position = round(0x4000 * (1.0 - self.brake / FULL_BRAKE)) if counts is None else counts
+        position = round(0x4000 * (1.0 - self.brake / BRAKE_STOP)) if counts is None else counts
         return message_frame("req_brake_pos", self.counter, contrl_pos_brk=position)
 
     def frames(self) -> list[bytes]:

@@ -13,7 +13,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from autonomy.localisation import QualityLimits
 from bridge._native import lib
 from bridge.scenario import load_scenario
 from bridge.surroundings import TICK_US
@@ -24,8 +23,8 @@ from tools.run import find_scenario
 
 PARTS = ("obc", "raptor", "space-drive", "autonomy", "plant", "hub")
 
-SAFE_STOP = "ssm"
-"""The onboard computer's safe stop, which comes before its full brake when only sensors are gone."""
+EMERGENCY_STOP = "ssm"
+"""The onboard computer's emergency stop, which comes before its full brake while the last look at the wall holds."""
 
 
 @dataclass(frozen=True)
@@ -100,6 +99,8 @@ def _reactions() -> tuple[Reaction, ...]:
         _overdue("position_timeout", 1000 * raptor.position_timeout_ms),
         _held_for("space_drive_lost", raptor.space_drive_lost_us),
     )
+    wall_held_us = 1000 * (lib.wall_receiver_timeout_ms() + lib.EMERGENCY_HOLD_MS)
+    wall_lost = (_reached("autonomy", "obc"), _overdue("wall time-out and hold", wall_held_us))
     estimate_missing = (_reached("autonomy", "obc"), _parameter("estimate_timeout"), _held("estimate_lost"))
     return (
         Reaction("obc", "raptor", commands_missing),
@@ -111,20 +112,12 @@ def _reactions() -> tuple[Reaction, ...]:
         ),
         Reaction("space-drive", "raptor", space_drive_lost),
         Reaction("space-drive", "obc", (*space_drive_lost, _reached("raptor", "obc"), _held("raptor_emergency"))),
-        Reaction("autonomy", "obc", estimate_missing),
-        Reaction("plant", SAFE_STOP, (_reached("plant", "obc"), _parameter("imu_timeout"), _held("imu_timeout"))),
-        Reaction(
-            "plant",
-            "obc",
-            (
-                _reached("plant", "autonomy"),
-                _overdue("bad_age", QualityLimits().bad_age_us),
-                _reached("autonomy", "obc"),
-                _held("estimate_lost"),
-            ),
-        ),
+        Reaction("autonomy", EMERGENCY_STOP, estimate_missing),
+        Reaction("autonomy", "obc", wall_lost),
+        Reaction("plant", EMERGENCY_STOP, (_reached("plant", "obc"), _parameter("imu_timeout"), _held("imu_timeout"))),
+        Reaction("plant", "obc", (_reached("plant", "autonomy"), *wall_lost)),
         Reaction("hub", "space-drive", requests_missing),
-        Reaction("hub", "obc", estimate_missing),
+        Reaction("hub", "obc", wall_lost),
         Reaction("hub", "raptor", commands_missing),
     )
 

@@ -22,7 +22,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import yaml
 from numpy.typing import NDArray
-from reaction_times import SAFE_STOP, reactions_to
+from reaction_times import EMERGENCY_STOP, reactions_to
 
 from bridge._native import ffi, lib
 from bridge.realtime.cycle_log import read_cycle_log
@@ -50,8 +50,8 @@ STANDING = 0.05
 SETTLED_US = 500_000
 """A car that stops rocks on its tyres, so that its speed passes through zero several times in half a second."""
 
-FULL_BRAKE_KPA = 6000.0
-FULL_BRAKE_PA = 6.0e6
+FULL_BRAKE_KPA = 4500.0
+FULL_BRAKE_PA = 4.5e6
 
 _BUSY = """
 import os, sys, time
@@ -105,14 +105,16 @@ class Witness:
 
 
 WITNESSES = {
-    # The Raptor hears 6000 kPa on CAN1.
+    # The Raptor hears 4500 kPa on CAN1.
     "obc": Witness(("brake_pressure_cmd",), lambda signals: signals["brake_pressure_cmd"] >= FULL_BRAKE_KPA),
-    # The Space Drive hears a brake lever at its stop on CAN3: 0 of 0x7FFF counts.
-    "raptor": Witness(("req_brake_pos",), lambda signals: signals["contrl_pos_brk"] == 0),
+    # The Space Drive hears on CAN3 as much: count 0 would be 6000 kPa, the middle of the scale none.
+    "raptor": Witness(
+        ("req_brake_pos",), lambda signals: signals["contrl_pos_brk"] <= 0x4000 * (1.0 - FULL_BRAKE_KPA / 6000.0)
+    ),
     # The Space Drive tells on CAN3 that it brakes by itself, in one of both messages in every cycle.
     "space-drive": Witness(("stat_steer_1", "stat_brk_1"), lambda signals: signals["emr_brk"] == 1),
     # A state of the SSM from EMERGENCY on, on CAN-A.
-    SAFE_STOP: Witness(("ssm_status",), lambda signals: signals["ssm_state"] >= lib.SSM_EMERGENCY),
+    EMERGENCY_STOP: Witness(("ssm_status",), lambda signals: signals["ssm_state"] >= lib.SSM_EMERGENCY),
 }
 
 _HEARD = (

@@ -28,6 +28,9 @@ PEDAL_THROTTLE_PERCENT = 10.0
 PEDAL_BRAKE_KPA = 500.0
 PEDAL_US = 500_000
 
+#: What Raptor and Space Drive brake with by themselves.
+FULL_BRAKE_KPA = 4500.0
+
 #: Position counts on CAN3: straight ahead or no brake; the middle of the scale, whose lower end is full brake.
 NEUTRAL_COUNTS = 0x4000
 

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from bridge.safety.active_faults import ActiveFaults
 from bridge.safety.limits import (
     CYCLE_US,
+    FULL_BRAKE_KPA,
     NEUTRAL_COUNTS,
     PASSING_US,
     PEDAL_BRAKE_KPA,
@@ -207,14 +208,14 @@ class FullBrakeRequested(Property):
         "The Raptor asks the Space Drive for no less brake than was commanded, and for a full brake when commands or "
         "ct_report are silent for their time-out, and in EMERGENCY_SHUTDOWN and the failure states."
     )
-    source = "GenMsgTimeout in the DBC file; two cycles from CAN1 to CAN3"
+    source = "FULL_BRAKE_KPA in bridge/safety/limits.py; GenMsgTimeout in the DBC file; two cycles from CAN1 to CAN3"
     messages = (BRAKE, THROTTLE, STEERING, CT, SYS, BRAKE_REQUEST)
 
     def check(self, scene: Scene) -> Iterator[Breach]:
         """See `Property`."""
         request, full = scene.series[BRAKE_REQUEST], scene.limits.brakes.full_kpa
         times, asked = request.times, _request_kpa(request["contrl_pos_brk"], full)
-        required = np.zeros(len(times))
+        required, own = np.zeros(len(times)), np.zeros(len(times))
         # Each bus has its own clock within a tick: the request may end before the command that it follows.
         commanded = scene.series[BRAKE].lowest(
             _brake_signal(scene), times + WITHIN_TICK_US, PASSING_US + CYCLE_US + WITHIN_TICK_US
@@ -223,10 +224,11 @@ class FullBrakeRequested(Property):
         commanded = np.where(commanded > full, 0.0, commanded)
         required = np.fmax(required, commanded)
         for name in (BRAKE, THROTTLE, STEERING, CT):
-            required[scene.series[name].age(times) > scene.timeout_us(name)] = full
+            own[scene.series[name].age(times) > scene.timeout_us(name)] = FULL_BRAKE_KPA
         sys = scene.series[SYS]
         now, before = sys.held("sys_state", times), sys.held("sys_state", times - PASSING_US)
-        required[among(now, _BRAKED) & (now == before)] = full
+        own[among(now, _BRAKED) & (now == before)] = FULL_BRAKE_KPA
+        required = np.fmax(required, own)
         yield Breach(
             request,
             asked < required - _REQUEST_KPA,
@@ -243,7 +245,10 @@ class BrakesFollow(Property):
         "Both brake lines have what is asked for on CAN3 within the actuator's rise time; a full brake when requests "
         "are silent for their time-out, and while the Space Drive reports its emergency brake."
     )
-    source = "brake_delay, brake_bandwidth, brake_pressure_rate_limit of the vehicle file; GenMsgTimeout of CAN3"
+    source = (
+        "FULL_BRAKE_KPA in bridge/safety/limits.py; brake_delay, brake_bandwidth, brake_pressure_rate_limit of the "
+        "vehicle file; GenMsgTimeout of CAN3"
+    )
     messages = (BRAKE_REQUEST, STEERING_REQUEST, BRAKE_STATUS)
     truth = True
 
@@ -256,7 +261,7 @@ class BrakesFollow(Property):
         for name in (BRAKE_REQUEST, STEERING_REQUEST):
             silent |= scene.series[name].age(times) > scene.timeout_us(name)
         emergency = scene.series[BRAKE_STATUS].held("emr_brk", times) > 0
-        asked[silent | emergency] = brakes.full_kpa
+        asked[silent | emergency] = FULL_BRAKE_KPA
         rows = brakes.settled_us // CYCLE_US + 1
         unheard = scene.series[BRAKE_STATUS].age(times) > scene.timeout_us(BRAKE_STATUS)
         alone = (silent | emergency | unheard).astype(np.float64)

@@ -11,7 +11,7 @@
 
 #include "common/can_frame.h"
 
-#define DBW_FULL_BRAKE_PA 6.0e6f /* brake pressure of a full brake before any configuration */
+#define DBW_FULL_BRAKE_PA 4.5e6f /* brake pressure of a full brake before any configuration */
 
 /* What the car's state allows to leave. */
 enum dbw_mode {

@@ -11,7 +11,7 @@ enum { SHIFT_READY = 1 };
 void raptor_demand_init(raptor_demand *self)
 {
     memset(self, 0, sizeof *self);
-    self->brake = SPACE_DRIVE_BRAKE_STOP_PA;
+    self->brake = SPACE_DRIVE_FULL_BRAKE_PA;
 }
 
 /* The Raptor's own wish, whatever the onboard computer commands. */
@@ -33,7 +33,7 @@ static float own_brake(const raptor_config *config, const raptor_demand_input *i
     case RAPTOR_SYS_DRIVING:
         return 0.0f;
     default:
-        return SPACE_DRIVE_BRAKE_STOP_PA;
+        return SPACE_DRIVE_FULL_BRAKE_PA;
     }
 }
 
@@ -42,7 +42,7 @@ static float choose_brake(const raptor_config *config, const raptor_demand_input
     const raptor_command_monitor *commands = input->commands;
 
     if (!commands->brake_known || commands->faults != 0U) {
-        return SPACE_DRIVE_BRAKE_STOP_PA;
+        return SPACE_DRIVE_FULL_BRAKE_PA;
     }
     return fmaxf(own_brake(config, input), commands->command.brake_pressure);
 }

@@ -28,7 +28,7 @@ const space_drive_config space_drive_config_default = {
             .sensor_maximum = 7.0e6f,
             .deviation = 3.0e5f,
             .lead = SPACE_DRIVE_BRAKE_STOP_PA, /* pressure builds up behind the demand; nothing to bound */
-            .safe_demand = SPACE_DRIVE_BRAKE_STOP_PA,
+            .safe_demand = SPACE_DRIVE_FULL_BRAKE_PA,
             .safe_demand_valid = true,
             .counts_max = SPACE_DRIVE_NEUTRAL, /* above neutral would be gas, which this car does not use */
             .bad_limit = 3,
@@ -127,7 +127,7 @@ static void control(void *context)
 
     const bool released =
         self->emergency == 0 && !self->shutdown && self->steer.ready && self->brake.ready && self->brake.demand_valid;
-    self->brake_demand = released ? self->brake.demand : SPACE_DRIVE_BRAKE_STOP_PA;
+    self->brake_demand = released ? self->brake.demand : SPACE_DRIVE_FULL_BRAKE_PA;
     tick->drive->brake_pressure_demand = self->brake_demand;
     tick->drive->steer_motor_demand = self->steer.demand;
 }
@@ -184,7 +184,7 @@ void space_drive_init(space_drive *self, const space_drive_config *config)
 {
     memset(self, 0, sizeof *self);
     self->config = config != NULL ? *config : space_drive_config_default;
-    self->brake_demand = SPACE_DRIVE_BRAKE_STOP_PA;
+    self->brake_demand = SPACE_DRIVE_FULL_BRAKE_PA;
 }
 
 void space_drive_stop(space_drive *self)

@@ -31,7 +31,7 @@ from dbc.codec import database
 from tools.cli import main
 from tools.dbw.schedule import analyse
 
-FULL_BRAKE_KPA = 6000
+FULL_BRAKE_KPA = 4500
 LINE = re.compile(r"\((\d+\.\d+)\) (\w+) ([0-9A-F]+)#([0-9A-F]*) [RT]")
 CHANNELS = {"raptor": "CAN1", "space_drive": "CAN3", "autonomy": "CANA", "sensors": "CANS"}
 

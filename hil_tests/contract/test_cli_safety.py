@@ -105,7 +105,7 @@ def test_recording_with_a_violation(folder: Path, run_command: Command) -> None:
     head, tail = lines[number].split("#")
     data, *rest = tail.split(" ")
     (pressure, counter) = codec.decode(bytes.fromhex(data))
-    assert pressure == 6000.0
+    assert pressure == 4500.0
     lines[number] = f"{head}#{' '.join([codec.encode(3000.0, counter).hex().upper(), *rest])}"
     (folder / "frames.log").write_text("\n".join(lines) + "\n")
     answer = run_command("safety", folder)

@@ -6,7 +6,7 @@ from functools import cache
 from typing import Any
 
 import pytest
-from actuator_ecus import FULL_BRAKE, Requests, SpaceDrive, message_frame
+from actuator_ecus import BRAKE_STOP, FULL_BRAKE, Requests, SpaceDrive, message_frame
 from e2e_faults import (
     Stream,
     Traffic,
@@ -203,7 +203,7 @@ def test_a_report_that_is_missed_has_the_reaction_of_its_fault(name: str) -> Non
     sent = {f.id: database.find(f.bus, f.id).decode(f.data) for f in run.sent[tick] if f.bus == Bus.CAN1}  # type: ignore[union-attr]
     brake, throttle = (sent[NETWORK[m].message.frame_id][0] for m in ("brake_pressure_cmd", "accelerator_cmd"))
     if "full_brake" in reactions:
-        assert (state, brake, throttle) == (lib.SSM_FULL_BRAKE, 6000, 0)
+        assert (state, brake, throttle) == (lib.SSM_FULL_BRAKE, 4500, 0)
     elif reactions & {"safe_stop", "emergency_stop"}:
         assert (state, throttle) == (lib.SSM_EMERGENCY, 0)
         assert brake > 0
@@ -331,7 +331,7 @@ def test_two_receivers_of_three_that_hear_the_same_wrong_request_are_followed() 
     """The limit of a vote."""
     ecu = heard_differently("brake", {0: other_position, 2: other_position})
     assert ecu.emergency == 0
-    assert ecu.brake_demand == pytest.approx(FULL_BRAKE / 2)
+    assert ecu.brake_demand == pytest.approx(BRAKE_STOP / 2)
 
 
 # --- asymmetric information and partial reception: three senders of one position

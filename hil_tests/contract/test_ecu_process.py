@@ -30,7 +30,7 @@ from dbc.network import load_network
 
 pytestmark = pytest.mark.realtime
 
-FULL_BRAKE_PA = 6.0e6
+FULL_BRAKE_PA = 4.5e6
 STATIONS = {"obc": Station.OBC, "raptor": Station.RAPTOR, "space-drive": Station.SPACE_DRIVE}
 
 
@@ -213,7 +213,7 @@ def test_an_ecu_speaks_the_profile_that_it_is_told(name: str, message: str, tmp_
     assert found[0].dlc == codec.length
     values = dict(zip(codec.signals, codec.decode(found[0].data), strict=True))
     if name == "obc":
-        assert (values["F_brake_pressure_cmd"], values["R_brake_pressure_cmd"]) == (6000, 5111)
+        assert (values["F_brake_pressure_cmd"], values["R_brake_pressure_cmd"]) == (4500, 3833)
 
 
 def test_cycles_are_on_the_grid_and_recorded(tmp_path: Path):
@@ -306,7 +306,7 @@ def test_a_raptor_that_is_stopped_leaves_the_emergency_shutdown(tmp_path: Path, 
         states = [one["sys_state"] for one in named(ecu.rest(Bus.CAN1), "misc_report")]
         requests = [one["contrl_pos_brk"] for one in named(ecu.rest(Bus.CAN3), "req_brake_pos")]
         assert states[-1] == 16
-        assert set(requests[-lib.ECU_STOP_CYCLES :]) == {0.0}
+        assert set(requests[-lib.ECU_STOP_CYCLES :]) == {4096.0}  # 4500 of 6000 kPa
     drive = ffi.new("raptor_wired_out *", {"throttle_demand": 0.5, "ignition": True})
     assert wires.read(Cell.RAPTOR_OUT, drive) > 0
     assert (drive.throttle_demand, drive.ignition) == (0.0, False)

@@ -7,7 +7,7 @@
 #include "generated/raptor.h"
 #include "obc/obc.h"
 
-enum { FULL_BRAKE_KPA = 6000 };
+enum { FULL_BRAKE_KPA = 4500 };
 
 static obc computer;
 static bool full_brake;

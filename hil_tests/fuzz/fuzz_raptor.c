@@ -34,9 +34,8 @@ static void begin(void)
 static void check(const can_outbox *sent)
 {
     const raptor_demand *demand = &controller.demand;
-    const float full = 6.0e6f;
     (void)sent;
-    FUZZ_CHECK(demand->brake >= 0.0f && demand->brake <= full);
+    FUZZ_CHECK(demand->brake >= 0.0f && demand->brake <= SPACE_DRIVE_BRAKE_STOP_PA);
     FUZZ_CHECK(fabsf(demand->steer) <= 4.1892f);
     FUZZ_CHECK(drive.throttle_demand >= 0.0f && drive.throttle_demand <= 1.0f);
     FUZZ_CHECK(drive.gear_demand <= 6U);
@@ -44,7 +43,7 @@ static void check(const can_outbox *sent)
     FUZZ_CHECK(latched == 0U || controller.sys.state == latched);
     latched = terminal_state();
     if (controller.commands.faults != 0U || latched != 0U) {
-        FUZZ_CHECK(demand->brake == full && drive.throttle_demand == 0.0f);
+        FUZZ_CHECK(demand->brake >= SPACE_DRIVE_FULL_BRAKE_PA && drive.throttle_demand == 0.0f);
     }
     FUZZ_CHECK(drive.throttle_demand == 0.0f || controller.sys.state == RAPTOR_SYS_DRIVING);
     FUZZ_CHECK(drive.throttle_demand == 0.0f || demand->brake <= controller.config.pedal_conflict_brake);

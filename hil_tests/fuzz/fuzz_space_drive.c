@@ -36,7 +36,7 @@ static void check(const can_outbox *sent)
     FUZZ_CHECK(actuator.shutdown || !shutdown);
     begin();
     if (emergency != 0U || shutdown) {
-        FUZZ_CHECK(drive.brake_pressure_demand == SPACE_DRIVE_BRAKE_STOP_PA);
+        FUZZ_CHECK(drive.brake_pressure_demand == SPACE_DRIVE_FULL_BRAKE_PA);
     }
 }
 

@@ -22,8 +22,8 @@ from dbc.frames import Bus, Station
 from dbc.states import CtState, SysState
 from tools.run import DEFAULT_SCENARIO, build_bench
 
-FULL_BRAKE_KPA = 6000.0
-FULL_BRAKE_PA = 6.0e6
+FULL_BRAKE_KPA = 4500.0
+FULL_BRAKE_PA = 4.5e6
 TICK_S = TICK_US * 1e-6
 
 

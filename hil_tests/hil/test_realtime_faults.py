@@ -14,7 +14,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from reaction_times import SAFE_STOP, reactions_to
+from reaction_times import EMERGENCY_STOP, reactions_to
 from realtime_rig import FULL_BRAKE_PA, MOVING, Measured, car, table
 from station_loss import ECUS, FAULTS, LOSSES, SHUT_DOWN, SSM_BRAKES, Loss, comes_back, lose_and_get_back
 
@@ -100,7 +100,7 @@ def test_safe_stop_ends_with_a_reset(tmp_path: Path) -> None:
     with car(tmp_path, RealTimeOptions(placement=placement())) as it:
         it.drive()
         fault_us = it.signal("plant", signal.SIGSTOP)
-        it.until(lambda: (it.receiver.brakes_since(SAFE_STOP) or 0) > fault_us, "a safe stop")
+        it.until(lambda: (it.receiver.brakes_since(EMERGENCY_STOP) or 0) > fault_us, "a safe stop")
         it.signal("plant", signal.SIGCONT)
         it.until(lambda: it.stands, "standstill")
         it.watch(0.5)

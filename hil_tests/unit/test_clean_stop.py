@@ -8,7 +8,7 @@ from obc_harness import ObcHarness
 
 from bridge._native import ffi, lib
 
-FULL_BRAKE_KPA = 6000
+FULL_BRAKE_KPA = 4500
 EMERGENCY, PWR_OFF = 16, 11
 
 

@@ -125,8 +125,8 @@ def test_ct_report_counter_and_acknowledgements() -> None:
 @pytest.mark.parametrize("limit", [0.0, -1.0e6, *NOT_FINITE])
 def test_a_pressure_limit_that_is_none_makes_nothing_of_no_brake(limit: float) -> None:
     assert brake(Dbw(holding_brake_pressure=limit).step(mode=lib.DBW_HOLD)) == 6000
-    assert brake(Dbw(full_brake_pressure=limit).step(mode=lib.DBW_FULL_BRAKE)) == 6000
-    assert brake(Dbw(full_brake_pressure=limit, holding_brake_pressure=limit).step(mode=lib.DBW_HOLD)) == 6000
+    assert brake(Dbw(full_brake_pressure=limit).step(mode=lib.DBW_FULL_BRAKE)) == 4500
+    assert brake(Dbw(full_brake_pressure=limit, holding_brake_pressure=limit).step(mode=lib.DBW_HOLD)) == 4500
 
 
 @pytest.mark.parametrize("mode", [lib.DBW_FULL_BRAKE, 3, 255])
@@ -145,7 +145,7 @@ def test_zeroed_demand_and_limits_are_a_full_brake() -> None:
     dbw.limits = ffi.new("dbw_limits *")
     lib.dbw_command_step(dbw.c, ffi.new("dbw_demand *"), dbw.limits, dbw.outbox.c)
     sent = dbw.take()
-    assert (brake(sent), throttle(sent), steering(sent)) == (6000, 0, 0)
+    assert (brake(sent), throttle(sent), steering(sent)) == (4500, 0, 0)
 
 
 @pytest.mark.parametrize("value", NOT_FINITE)

@@ -11,7 +11,7 @@ import random
 from typing import Any
 
 import pytest
-from actuator_ecus import FULL_BRAKE, Car, Requests, SpaceDrive, car_in, frames_buffer
+from actuator_ecus import BRAKE_STOP, FULL_BRAKE, Car, Requests, SpaceDrive, car_in, frames_buffer
 from frame_fuzz import EPISODE_TICKS, EPISODES, RATES, Disturber, Judge, Snapshot, announce, disturb_wires, seeds
 from obc_harness import TICK_US, ObcHarness, cast_frames
 
@@ -19,7 +19,7 @@ from bridge._native import lib
 from dbc.buses import Station
 from dbc.frames import Bus, iterate
 
-FULL_BRAKE_KPA = 6000
+FULL_BRAKE_KPA = 4500
 STEERING_LIMIT_DEG = math.degrees(0.26) * 15.0  # of scenarios/operations/solo.yaml, at the motor
 STEERING_STEP_DEG = math.degrees(0.6 * 0.01) * 15.0
 STEERING_STOP_RAD = math.radians(240.0)
@@ -220,9 +220,9 @@ class FuzzedRaptor:
         car, state = self.car, self.car.state
         demand, drive, config = car.c.demand, car.drive, car.c.config
         self.states.add(state)
-        braked = FULL_BRAKE * (1.0 - found["req_brake_pos"][0] / 0x4000)
+        braked = BRAKE_STOP * (1.0 - found["req_brake_pos"][0] / 0x4000)
 
-        assert 0.0 <= demand.brake <= FULL_BRAKE
+        assert 0.0 <= demand.brake <= BRAKE_STOP
         assert braked == pytest.approx(demand.brake, abs=200.0), "the Space Drive is asked for just that"
         assert abs(demand.steer) <= STEERING_STOP_RAD * 1.0001
         assert 0.0 <= drive.throttle_demand <= 1.0
@@ -233,7 +233,7 @@ class FuzzedRaptor:
         assert not drive.ignition or state in (7, 8, 9)
         assert not drive.starter or state == 7
         if car.c.commands.faults or not car.c.commands.brake_known or state in (11, 14, 15, 16, 17):
-            assert demand.brake == FULL_BRAKE
+            assert demand.brake >= FULL_BRAKE
             assert drive.throttle_demand == 0.0
         elif state not in (3, 9):
             assert demand.brake >= config.brake_hold
@@ -277,7 +277,7 @@ class FuzzedSpaceDrive:
             disturbed = tick >= healthy
             self.disturber.rate = rate if disturbed else 0.0
             if generator.random() < 0.1:
-                requests.steer, requests.brake = generator.uniform(-4.0, 4.0), generator.uniform(0.0, FULL_BRAKE)
+                requests.steer, requests.brake = generator.uniform(-4.0, 4.0), generator.uniform(0.0, BRAKE_STOP)
                 requests.speed_kmh = generator.choice((0, 1, 200))
             self._tick(self.disturber(requests.frames()), wire_rate if disturbed else 0.0)
             self.drive.now_us = next_tick(generator, self.drive.now_us, clock_rate if disturbed else 0.0)
@@ -295,7 +295,7 @@ class FuzzedSpaceDrive:
     def _check(self, found: dict[str, tuple[float, ...]]) -> None:
         state, brake = self.drive.c, self.drive.drive.brake_pressure_demand
         assert sum(name.startswith("calb_") for name in found) == 6
-        assert 0.0 <= brake <= FULL_BRAKE
+        assert 0.0 <= brake <= BRAKE_STOP
         assert abs(self.drive.drive.steer_motor_demand) <= SENSOR_END_RAD, "NaN is not"
         assert state.emergency & self.emergency == self.emergency, "until restart"
         assert state.shutdown or not self.shutdown

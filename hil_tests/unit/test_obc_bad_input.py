@@ -27,7 +27,7 @@ def test_an_empty_configuration_is_a_full_brake() -> None:
     harness.configure({})
     for _ in range(40):
         harness.tick()
-        assert (harness.brake_kpa, harness.throttle) == (6000, 0)
+        assert (harness.brake_kpa, harness.throttle) == (4500, 0)
     assert harness.state == lib.SSM_FULL_BRAKE
     assert harness.value("parameter_summary", "summary_missing") == len(GOOD)
 
@@ -39,7 +39,7 @@ def test_a_good_configuration_after_a_bad_one_comes_too_late() -> None:
     harness.configure()
     harness.run(300)
     assert harness.state == lib.SSM_FULL_BRAKE
-    assert (harness.brake_kpa, harness.throttle) == (6000, 0)
+    assert (harness.brake_kpa, harness.throttle) == (4500, 0)
     assert [status for _, status in results(harness)].count(lib.PARAMETER_LATE) == len(GOOD) + 1
     assert harness.ct_state == lib.CT_PWR_ON
 
@@ -96,5 +96,5 @@ def test_random_frames_never_release_the_brake() -> None:
             frame = next(iterate(message.frame(*(0.0 for _ in message.signals))))
             frames.append(frame._replace(dlc=source.randrange(12), data=source.randbytes(8)).pack())
         harness.tick(b"".join(frames))
-        assert (harness.brake_kpa, harness.throttle) == (6000, 0)
+        assert (harness.brake_kpa, harness.throttle) == (4500, 0)
         assert harness.state != lib.SSM_NOMINAL

@@ -10,7 +10,7 @@ from dbc.codec import database
 from dbc.frames import FRAME_SIZE, Bus, Flag, Station, iterate
 from firmware.parameters import load_operation
 
-FULL_BRAKE_KPA = 6000
+FULL_BRAKE_KPA = 4500
 HOLDING_KPA = 2000
 
 

@@ -131,7 +131,7 @@ def test_a_clock_that_is_set_back_makes_everything_old() -> None:
     harness.now_us -= 1_000_000
     harness.tick(b"")
     assert harness.state == lib.SSM_FULL_BRAKE
-    assert (harness.brake_kpa, harness.throttle) == (6000, 0)
+    assert (harness.brake_kpa, harness.throttle) == (4500, 0)
 
 
 def test_no_throttle_leaves_in_a_safe_stop_not_even_in_the_tick_that_begins_it() -> None:

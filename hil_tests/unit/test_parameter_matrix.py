@@ -41,7 +41,7 @@ PARAMETER_CELLS, RULE_CELLS = list(parameter_cells()), list(rule_cells())
 
 #: Commands, and the value that each keeps in a car that must not move.
 AT_REST = {
-    "brake_pressure_cmd": 6000.0,
+    "brake_pressure_cmd": 4500.0,
     "accelerator_cmd": 0.0,
     "steering_cmd": 0.0,
     "gear_shift_cmd": 0.0,
@@ -221,7 +221,7 @@ def test_a_lost_commit_leaves_the_full_brake() -> None:
     car.tick(b"".join(frames))
     car.run_to_the_end()
     assert car.obc.ssm_output.state == lib.SSM_CONFIG_CHECK
-    assert set(car.commanded("brake_pressure_cmd")) == {6000.0}
+    assert set(car.commanded("brake_pressure_cmd")) == {4500.0}
     assert set(car.commanded("accelerator_cmd")) == {0.0}
 
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from itertools import pairwise
 
 import pytest
-from actuator_ecus import DEG, FULL_BRAKE, TICK_US, YELLOW, Car, Computer, car_in, message_frame
+from actuator_ecus import DEG, FULL_BRAKE, FULL_BRAKE_COUNTS, TICK_US, YELLOW, Car, Computer, car_in, message_frame
 
 from bridge._native import ffi, lib
 from dbc.frames import Bus, Flag, iterate
@@ -91,7 +91,7 @@ def test_before_the_first_command_full_brake_and_nothing_else() -> None:
     for _ in range(300):
         sent = car.tick()
         assert car.c.demand.brake == FULL_BRAKE
-        assert sent.value("req_brake_pos", "contrl_pos_brk") == 0
+        assert sent.value("req_brake_pos", "contrl_pos_brk") == FULL_BRAKE_COUNTS
         assert (car.drive.throttle_demand, car.drive.ignition, car.drive.starter) == (0.0, False, False)
     assert car.state == 2
     assert car.diagnostic_bits & OBC_LOST
@@ -273,7 +273,7 @@ def test_frames_that_are_no_commands_do_not_feed_the_supervision(disguise: str) 
 def test_the_brake_wins_over_the_throttle_at_once(lost: str) -> None:
     """A full brake whose accelerator frame is lost leaves the old throttle standing: the engine must not push on."""
     car = driving(accelerator=80.0)
-    car.computer.brake_kpa = 6000.0
+    car.computer.brake_kpa = FULL_BRAKE / 1000
     car.computer.silent = {lost}
     for _ in range(8):
         car.tick()
@@ -431,14 +431,14 @@ def test_a_zeroed_raptor_asks_for_full_brake() -> None:
     car.wired.race_control.track_flag = YELLOW
     for _ in range(50):
         sent = car.tick()
-        assert sent.value("req_brake_pos", "contrl_pos_brk") == 0
+        assert sent.value("req_brake_pos", "contrl_pos_brk") == FULL_BRAKE_COUNTS
         assert (car.drive.throttle_demand, car.drive.ignition) == (0.0, False)
 
 
 def test_rejected_configuration_keeps_full_brake_through_the_whole_chain() -> None:
-    """The onboard computer commands 6000 kPa for ever: the actuators hold it, also inside the actuation test."""
+    """The onboard computer commands a full brake for ever: the actuators hold it, also inside the actuation test."""
     car = Car()
-    car.computer = Computer(brake_kpa=6000.0, ct_state=1)
+    car.computer = Computer(brake_kpa=FULL_BRAKE / 1000, ct_state=1)
     car.wired.safety_switch = 4
     for _ in range(600):
         car.tick()

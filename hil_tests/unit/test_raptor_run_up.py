@@ -6,7 +6,19 @@ import math
 from collections.abc import Callable
 
 import pytest
-from actuator_ecus import DEG, FULL_BRAKE, GREEN, ORANGE, RED, RUN_UP, YELLOW, Car, car_in, message_frame
+from actuator_ecus import (
+    DEG,
+    FULL_BRAKE,
+    FULL_BRAKE_COUNTS,
+    GREEN,
+    ORANGE,
+    RED,
+    RUN_UP,
+    YELLOW,
+    Car,
+    car_in,
+    message_frame,
+)
 
 from bridge._native import lib
 from dbc.codec import database
@@ -307,7 +319,7 @@ def test_losing_the_space_drive() -> None:
     assert car.state == EMERGENCY
     assert lost_after <= 13, "50 ms time-out and 50 ms debounce"
     assert car.diagnostic_bits & EST4
-    assert sent.value("req_brake_pos", "contrl_pos_brk") == 0
+    assert sent.value("req_brake_pos", "contrl_pos_brk") == FULL_BRAKE_COUNTS
     assert sent.value("diagnostic_report", "est4_sd_comms_loss") == 1
 
 

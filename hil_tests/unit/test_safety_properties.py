@@ -163,11 +163,11 @@ def throttled(log: Recording, begin_us: int) -> NDArray[np.intp]:
 def test_full_brake_fault_with_full_brake_in_time(log: Recording) -> None:
     log.insert(fault_event("est6_sd_emergency_brake"), DRIVES_US)
     due = DRIVES_US + 20 * MS
-    log.put("brake_pressure_cmd", "brake_pressure_cmd", 6000.0, log.places("brake_pressure_cmd", due))
+    log.put("brake_pressure_cmd", "brake_pressure_cmd", 4500.0, log.places("brake_pressure_cmd", due))
     log.put("accelerator_cmd", "acc_pedal_cmd", 0.0, log.places("accelerator_cmd", due))
     assert found(log, "SAFE-1") is None
     late = log.places("brake_pressure_cmd", DRIVES_US + S)[:1]
-    log.put("brake_pressure_cmd", "brake_pressure_cmd", 5999.0, late)
+    log.put("brake_pressure_cmd", "brake_pressure_cmd", 4499.0, late)
     assert found(log, "SAFE-1") == frame_of(log, int(late[0]))
 
 
@@ -188,8 +188,8 @@ def test_state_of_full_brake_without_full_brake(log: Recording, state: SsmState)
 
 def test_full_brake_reduced_while_not_released(log: Recording) -> None:
     place = log.places("brake_pressure_cmd", 300 * MS)[:1]
-    assert log.values("brake_pressure_cmd", "brake_pressure_cmd", place) == [6000.0]
-    log.put("brake_pressure_cmd", "brake_pressure_cmd", 5999.0, place)
+    assert log.values("brake_pressure_cmd", "brake_pressure_cmd", place) == [4500.0]
+    log.put("brake_pressure_cmd", "brake_pressure_cmd", 4499.0, place)
     status = log.places("ssm_status", int(log.frames["time_us"][place[0]]))[0]
     assert found(log, "SAFE-1") == frame_of(log, int(status))
 
@@ -727,7 +727,7 @@ def test_identifier_that_nobody_owns(log: Recording) -> None:
 
 def planted(log: Recording) -> Recording:
     """A recording with something wrong for many properties."""
-    log.put("brake_pressure_cmd", "brake_pressure_cmd", 5000.0, log.places("brake_pressure_cmd", 300 * MS, 400 * MS))
+    log.put("brake_pressure_cmd", "brake_pressure_cmd", 4000.0, log.places("brake_pressure_cmd", 300 * MS, 400 * MS))
     log.put("steering_cmd", "steering_motor_ang_cmd", 240.0, log.places("steering_cmd", DRIVES_US)[:1])
     log.put("misc_report", "sys_state", SysState.EMERGENCY_SHUTDOWN, log.places("misc_report", 10_500 * MS, 11 * S))
     log.put_truth("vx", 1.0, STANDS_US, STANDS_US + 100 * MS)
@@ -778,7 +778,7 @@ def test_excused_properties_are_not_checked(log: Recording) -> None:
 
 def test_limits_are_those_of_the_files() -> None:
     """By hand from scenarios/operations/solo.yaml, scenarios/vehicles/av21.yaml and firmware/schema/faults.yaml."""
-    assert pytest.approx(6000.0) == LIMITS.full_brake_kpa
+    assert pytest.approx(4500.0) == LIMITS.full_brake_kpa
     assert pytest.approx(223.4535, abs=1e-3) == LIMITS.steering_deg
     assert pytest.approx(5.15662, abs=1e-4) == LIMITS.steering_slew_deg
     assert (LIMITS.throttle_percent, LIMITS.gears, LIMITS.standstill_speed) == (100.0, 6, 0.2)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 
 import pytest
-from actuator_ecus import DEG, FULL_BRAKE, Outbox, Requests, SpaceDrive
+from actuator_ecus import BRAKE_STOP, DEG, Outbox, Requests, SpaceDrive
 
 from bridge._native import ffi, lib
 from dbc.codec import database
@@ -85,7 +85,7 @@ def test_positions_show_the_sensors() -> None:
         steer = sent.value(f"calb_steer_pos_{channel + 1}", f"cur_steer_pos_steering_pos_{channel + 1}")
         assert steer == round(0x4000 * (1 + angle / 240))
         brake = sent.value(f"calb_brake_pos_{channel + 1}", f"cur_brake_pos_brake_pos_{channel + 1}")
-        assert brake == round(0x4000 * (1 - (1.0e6 + 1.0e5 * channel) / FULL_BRAKE))
+        assert brake == round(0x4000 * (1 - (1.0e6 + 1.0e5 * channel) / BRAKE_STOP))
 
 
 def newest(drive: SpaceDrive, requests: Requests, name: str, ticks: int = 12) -> dict[str, float]:

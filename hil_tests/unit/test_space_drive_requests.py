@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import pytest
-from actuator_ecus import DEG, FULL_BRAKE, TICK_US, Requests, SpaceDrive, message_frame
+from actuator_ecus import BRAKE_STOP, DEG, FULL_BRAKE, TICK_US, Requests, SpaceDrive, message_frame
 
 from bridge._native import ffi, lib
 from dbc.frames import Bus, Flag, iterate
@@ -117,7 +117,7 @@ def test_every_end_of_the_brake_range_is_followed(counts: int) -> None:
     for _ in range(3):
         requests.counter += 1
         drive.tick([requests.steer_frame(), requests.brake_frame(counts)])
-    assert drive.drive.brake_pressure_demand == pytest.approx((1 - counts / 0x4000) * FULL_BRAKE, abs=1)
+    assert drive.drive.brake_pressure_demand == pytest.approx((1 - counts / 0x4000) * BRAKE_STOP, abs=1)
     assert drive.c.emergency == 0
 
 

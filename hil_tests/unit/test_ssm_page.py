@@ -175,7 +175,7 @@ def obc_silent(*names: str, walled: bool = True) -> int:
         harness.periods.pop(name)
     for ticks in range(1, 60):
         harness.tick()
-        if harness.brake_kpa == 6000 and harness.throttle == 0:
+        if harness.brake_kpa == 4500 and harness.throttle == 0:
             return ticks * TICK_US // 1000
     raise AssertionError(names)
 
@@ -216,7 +216,7 @@ def test_measured_times() -> None:
     first.tick()
     commands = ("brake_pressure_cmd", "accelerator_cmd", "steering_cmd")
     assert measured[0] == 0
-    assert (first.brake_kpa, first.throttle) == (6000, 0)
+    assert (first.brake_kpa, first.throttle) == (4500, 0)
     assert [
         obc_silent("misc_report"),
         obc_silent("estimate_position", "estimate_motion", "estimate_quality", walled=False),

@@ -39,7 +39,7 @@ LIMIT_S = 500.0
 """For start, drive and recording together."""
 END_MARK = 0x7F0
 """Identifier that nobody on the buses uses."""
-FULL_BRAKE_KPA = 6000.0
+FULL_BRAKE_KPA = 4500.0
 
 
 @dataclass(frozen=True)
