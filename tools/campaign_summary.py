@@ -17,7 +17,7 @@ from bridge.safety.monitor import properties
 from firmware.tables import REACTIONS
 from tools.campaign_results import line
 
-_WIDTH = 124
+_WIDTH = 140
 """Columns of the table: a narrower terminal breaks its lines, and loses nothing."""
 
 _SHOWN = 20
@@ -110,7 +110,7 @@ def show_summary(summary: Mapping[str, Any], again: str, console: Console) -> No
             _cell(fault["worst_excursion_m"], ".1f"),
             f"[red]{fault['violations']}[/red]" if fault["violations"] else "",
         )
-    console.print(table, width=_WIDTH)
+    Console(file=console.file, width=max(console.width, _WIDTH), highlight=False).print(table)
     console.print()
     idle = [fault["fault"] for fault in summary["faults"] if fault["without_effect"] == fault["runs"]]
     if idle:
