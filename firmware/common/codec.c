@@ -58,13 +58,12 @@ const codec_message *codec_find_in(const codec_profile *profile, uint8_t bus, ui
         const uint32_t middle = low + (high - low) / 2U;
         const codec_message *row = &profile->messages[middle];
         const uint64_t row_key = sort_key(row->bus, row->extended != 0U, row->id);
-        if (row_key == key) {
-            return row;
-        }
         if (row_key < key) {
             low = middle + 1U;
-        } else {
+        } else if (row_key > key) {
             high = middle;
+        } else {
+            return row;
         }
     }
     return NULL;
@@ -145,9 +144,8 @@ void codec_finish(can_frame *frame, const codec_message *message, uint8_t *count
         write_field(frame->data, message->counter_start, message->counter_length, *counter);
         *counter = (uint8_t)((*counter + 1U) & field_mask(message->counter_length));
     }
-    if (message->crc_length != 0U) {
-        write_field(frame->data, message->crc_start, message->crc_length, codec_frame_crc(frame, message));
-    }
+    /* Without a CRC its field has no bits, and nothing is written. */
+    write_field(frame->data, message->crc_start, message->crc_length, codec_frame_crc(frame, message));
 }
 
 uint16_t codec_crc16(uint16_t crc, const uint8_t *data, uint32_t length)

@@ -9,8 +9,7 @@ static float median(float a, float b, float c)
 
 voter_ballot voter_vote(const float values[VOTER_CHANNELS], const bool usable[VOTER_CHANNELS], float tolerance)
 {
-    voter_ballot ballot = {0};
-    float taken[VOTER_CHANNELS] = {0.0f};
+    float taken[VOTER_CHANNELS];
     uint32_t count = 0;
 
     for (uint32_t i = 0; i < VOTER_CHANNELS; i++) {
@@ -19,9 +18,9 @@ voter_ballot voter_vote(const float values[VOTER_CHANNELS], const bool usable[VO
         }
     }
     if (count < 2U) {
-        return ballot;
+        return (voter_ballot){0};
     }
-    ballot.valid = true;
+    voter_ballot ballot = {.valid = true};
     ballot.value = count == 2U ? 0.5f * (taken[0] + taken[1]) : median(taken[0], taken[1], taken[2]);
 
     /* Two channels lie at equal distances from their mean, so half the tolerance bounds their difference. */

@@ -50,12 +50,12 @@ void parameters_init(parameters *self)
  * what it loses by rounding lies beyond every allowed maximum. */
 static bool convert(uint8_t wanted, uint8_t type, uint32_t raw, parameter_value *value)
 {
-    *value = (parameter_value){0.0f, 0};
+    value->integer = 0;
     if (type == PARAMETER_FLOAT && wanted == PARAMETER_FLOAT) {
         memcpy(&value->real, &raw, sizeof raw);
         return true;
     }
-    int32_t number = 0;
+    int32_t number;
     memcpy(&number, &raw, sizeof raw);
     value->real = (float)number;
     if (type == PARAMETER_INT && wanted == PARAMETER_FLOAT) {

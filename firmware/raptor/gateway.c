@@ -99,7 +99,7 @@ void raptor_gateway_receive(raptor_gateway *self, const can_frame *frame, uint64
 
 static void judge_axis(raptor_gateway_axis *axis, const raptor_config *config, uint64_t since_us, uint64_t now_us)
 {
-    float positions[VOTER_CHANNELS] = {0.0f};
+    float positions[VOTER_CHANNELS];
     bool usable[VOTER_CHANNELS] = {false};
 
     axis->valid_count = 0;

@@ -30,11 +30,17 @@ void space_drive_axis_receive(space_drive_axis *self, const space_drive_axis_con
     }
 }
 
+/* A channel that can vote now: trusted, and its sensor reads. */
+static bool can_vote(const space_drive_channel *channel)
+{
+    return channel->sensor_valid && !channel->excluded;
+}
+
 /* Read the sensors, vote on them and exclude the channels that have been wrong for too long. */
 static void judge_sensors(space_drive_axis *self, const space_drive_axis_config *config,
                           const float sensors[SPACE_DRIVE_CHANNELS], uint64_t now_us)
 {
-    float positions[SPACE_DRIVE_CHANNELS] = {0.0f};
+    float positions[SPACE_DRIVE_CHANNELS];
     bool usable[SPACE_DRIVE_CHANNELS] = {false};
 
     for (uint32_t i = 0; i < SPACE_DRIVE_CHANNELS; i++) {
@@ -45,7 +51,7 @@ static void judge_sensors(space_drive_axis *self, const space_drive_axis_config 
             channel->position = sensors[i];
         }
         positions[i] = channel->position;
-        usable[i] = channel->sensor_valid && !channel->excluded;
+        usable[i] = can_vote(channel);
     }
 
     const voter_ballot ballot = voter_vote(positions, usable, config->deviation);
@@ -79,31 +85,25 @@ static float channel_demand(const space_drive_channel *channel, const space_driv
                  channel->position + config->lead);
 }
 
-/* A channel that can vote now: trusted, and its sensor reads. */
-static bool can_vote(const space_drive_channel *channel)
-{
-    return channel->sensor_valid && !channel->excluded;
-}
-
 static void vote_demand(space_drive_axis *self, const space_drive_axis_config *config)
 {
-    float demands[SPACE_DRIVE_CHANNELS] = {0.0f};
+    float demands[SPACE_DRIVE_CHANNELS];
     bool usable[SPACE_DRIVE_CHANNELS] = {false};
     uint32_t voters = 0;
 
     for (uint32_t i = 0; i < SPACE_DRIVE_CHANNELS; i++) {
         space_drive_channel *channel = &self->channels[i];
-        if (can_vote(channel)) {
+        usable[i] = can_vote(channel);
+        if (usable[i]) {
             channel->demand = channel_demand(channel, config);
-            usable[i] = true;
             voters++;
         }
         demands[i] = channel->demand;
     }
     const voter_ballot ballot = voter_vote(demands, usable, config->deviation);
-    /* Of two demands that differ nobody knows the right one: the last agreed one stands. A median needs no such care.
-     */
-    const bool split = voters == 2U && (ballot.deviates[0] || ballot.deviates[1] || ballot.deviates[2]);
+    /* Of two demands that differ nobody knows the right one: the last agreed one stands. Both then deviate, so that it
+     * takes two channels to see it of any pair. A median needs no such care. */
+    const bool split = voters == 2U && (ballot.deviates[0] || ballot.deviates[1]);
     if (ballot.valid && !split) {
         self->demand = ballot.value;
         self->demand_valid = true;
