@@ -120,7 +120,7 @@ def test_find_knows_exactly_the_ids_of_its_bus(bus: Bus) -> None:
     ],
 )
 def test_accept_and_receive_agree_on_the_frame(frame: Any, status: int) -> None:
-    message = ffi.new("const codec_message **")
+    message = ffi.new("const codec_message **", ffi.addressof(lib.codec_table, 0))
     assert lib.codec_accept(frame, message) == status
     assert (message[0] != ffi.NULL) == (status not in (lib.CODEC_UNKNOWN_ID, lib.CODEC_ERROR_FRAME))
 
@@ -333,7 +333,7 @@ def test_frame_crc_covers_data_then_id(name: str) -> None:
     ],
 )
 def test_clamp(value: float, expected: float, status: int) -> None:
-    verdict = ffi.new("codec_status *")
+    verdict = ffi.new("codec_status *", lib.CODEC_UNKNOWN_ID)
     assert lib.codec_clamp(value, -1.0, 2.0, verdict) == expected
     assert verdict[0] == status
 

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from bridge._native import ffi, lib
-from firmware.tables import Parameter, load_parameters, parameter_key
+from firmware.tables import CrossCheck, Parameter, load_parameters, parameter_key
 
 SCHEMA = load_parameters()
 PARAMETERS = SCHEMA.parameters
@@ -72,6 +72,7 @@ class Parameters:
         result, found = ffi.new("parameter_result *"), []
         while lib.parameters_next_result(self.c, result):
             found.append((result.key, result.status, result.value))
+            assert len(found) <= lib.PARAMETERS_RESULTS_MAX
         return found
 
     def offences(self) -> list[tuple[int, int]]:
@@ -116,6 +117,39 @@ def test_integers_that_no_single_holds_are_out_of_range(number: int) -> None:
         limits = row(type=kind, minimum=-16777215.0, maximum=16777215.0)
         status = lib.parameters_check(limits, lib.PARAMETER_INT, bits(number, lib.PARAMETER_INT), value)
         assert status in (lib.PARAMETER_BELOW_MINIMUM, lib.PARAMETER_ABOVE_MAXIMUM)
+
+
+@pytest.mark.parametrize(
+    ("wanted", "kind", "number", "integer"),
+    [
+        (lib.PARAMETER_FLOAT, lib.PARAMETER_FLOAT, 2.5, 0),
+        (lib.PARAMETER_FLOAT, lib.PARAMETER_INT, 3, 0),
+        (lib.PARAMETER_INT, lib.PARAMETER_INT, -3, -3),
+        (lib.PARAMETER_BOOL, lib.PARAMETER_BOOL, 1, 1),
+    ],
+)
+def test_only_whole_numbers_have_a_whole_value(wanted: int, kind: int, number: float, integer: int) -> None:
+    value = ffi.new("parameter_value *", {"real": 9.0, "integer": 9})
+    assert lib.parameters_check(row(type=wanted), kind, bits(number, kind), value) == lib.PARAMETER_ACCEPTED
+    assert (value.real, value.integer) == (number, integer)
+
+
+PRODUCTS = [rule for rule in SCHEMA.cross_checks if rule.kind == "product"]
+
+
+@pytest.mark.parametrize("rule", PRODUCTS, ids=lambda rule: f"{rule.left} {rule.right}")
+def test_a_product_at_its_bound_obeys_the_rule(rule: CrossCheck) -> None:
+    by_name = {p.name: p for p in PARAMETERS}
+    left, right = by_name[rule.left], by_name[rule.right]
+    pairs = ((number, rule.bound / number) for number in range(int(left.min) + 1, int(left.max)))
+    first, second = next(pair for pair in pairs if right.min <= pair[1] <= right.max and single(pair[1]) == pair[1])
+    index = SCHEMA.cross_checks.index(rule)
+    for less, broken in ((0, False), (1, True)):
+        parameters = Parameters()
+        parameters.write_all(**{left.name: first - less, right.name: second})
+        parameters.commit()
+        offended = [value for _, status, value in parameters.results() if status == lib.PARAMETER_CROSS_CHECK]
+        assert (index in offended) is broken
 
 
 def test_whole_number_for_a_float_is_exact() -> None:
@@ -235,7 +269,8 @@ def test_empty_configuration_misses_everything() -> None:
     parameters = Parameters()
     assert parameters.commit() == lib.PARAMETER_VERDICT_REJECTED
     assert parameters.c.missing == len(PARAMETERS)
-    assert len(parameters.offences()) == len(PARAMETERS)
+    missing = [(parameter_key(parameter.name), lib.PARAMETER_MISSING, 0) for parameter in PARAMETERS]
+    assert parameters.results() == missing
 
 
 def test_flood_is_counted_and_stays_bounded() -> None:
@@ -248,3 +283,29 @@ def test_flood_is_counted_and_stays_bounded() -> None:
     assert c.writes == 65_535, "counters saturate instead of starting over"
     assert c.results_lost == 65_535
     assert parameters.commit(count=70_000 & 0xFFFF) == lib.PARAMETER_VERDICT_REJECTED
+
+
+def test_results_keep_their_order_when_the_queue_goes_round() -> None:
+    parameters, result = Parameters(), ffi.new("parameter_result *")
+    size = lib.PARAMETERS_RESULTS_MAX
+    for number in range(size):
+        parameters.write("no_such_key", number)
+    taken = []
+    for number in range(size, 3 * size):
+        assert lib.parameters_next_result(parameters.c, result)
+        taken.append(result.value)
+        parameters.write("no_such_key", number)
+    taken += [value for _, _, value in parameters.results()]
+    assert taken == [bits(number) for number in range(3 * size)]
+    assert parameters.c.results_lost == 0
+
+
+def test_a_start_forgets_what_was_before() -> None:
+    parameters = Parameters()
+    fresh = bytes(ffi.buffer(parameters.c))
+    ffi.buffer(parameters.c)[:] = b"\xff" * len(fresh)
+    lib.parameters_init(parameters.c)
+    assert bytes(ffi.buffer(parameters.c)) == fresh
+    for index in range(lib.PARAMETER_COUNT):
+        parameters.c.active[index] = (0.0, 0)
+    assert not any(bytes(ffi.buffer(parameters.c))), "nothing but the values in force"

@@ -206,27 +206,6 @@ def test_a_foot_resting_on_a_pedal_is_no_conflict(accelerator: float, brake_kpa:
     assert car.state == 9
 
 
-#: ct_states that fit a sys_state, written down independently of the firmware's table. 11 and 12 always fit.
-CONSISTENT = {
-    1: {0, 255, 1, 2}, 2: {0, 255, 1, 2}, 3: {0, 255, 1, 2}, 4: {0, 255, 1, 2, 3}, 5: {3, 4}, 13: {4}, 6: {4, 5},
-    7: {5}, 8: {5, 6, 7}, 9: {7, 8, 9, 10}, 10: set(),
-}  # fmt: skip
-ENDS = (0, 11, 14, 15, 16, 17)
-
-
-@pytest.mark.parametrize("sys_state", [*CONSISTENT, *ENDS, 12, 18, 255])
-def test_ct_state_consistency_for_every_value(sys_state: int) -> None:
-    known = {*range(13), 255}
-    for ct_state in [*range(256), 256, 259, 0x0107, 0xFFFF]:
-        if sys_state in {12, 18, 255}:
-            expected = sys_state == 12 and ct_state in {11, 12}
-        elif sys_state in ENDS:
-            expected = ct_state in known
-        else:
-            expected = ct_state in CONSISTENT[sys_state] | {11, 12}
-        assert bool(lib.raptor_ct_state_consistent(sys_state, ct_state)) is expected, ct_state
-
-
 @pytest.mark.parametrize("ct_state", [0, 1, 6, 13, 100, 254, 255, 65_535])
 def test_a_contradicting_ct_state_while_driving_stops_the_car(ct_state: int) -> None:
     car = driving()

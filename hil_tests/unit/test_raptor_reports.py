@@ -257,38 +257,6 @@ def test_steering_reports_show_the_space_drives_sensors() -> None:
     assert sent.value("steering_report", "steering_motor_ang_avg_fdbk") == 11.0
 
 
-@pytest.mark.parametrize(
-    ("angle", "pressure", "speed", "steer_counts", "brake_counts", "kmh"),
-    [
-        (0.0, 0.0, 0.0, 0x4000, 0x4000, 0),
-        (240 * DEG, 6.0e6, 63.1, 0x8000, 0, 227),
-        (-240 * DEG, 3.0e6, 1e9, 0, 0x2000, 65_535),
-        (9.0, 9.0e6, -1.0, 0x8000, 0, 0),
-        (-9.0, -1.0, NAN, 0, 0x4000, 0),
-        (NAN, NAN, NAN, 0x4000, 0, 0),
-        (INF, INF, INF, 0x4000, 0, 65_535),
-        (60 * DEG, 1.0, 1.0, 0x5000, 0x4000, 4),
-    ],
-)
-def test_request_counts(
-    angle: float, pressure: float, speed: float, steer_counts: int, brake_counts: int, kmh: int
-) -> None:
-    gateway, outbox = ffi.new("raptor_gateway *"), Outbox()
-    gateway.steer.known = True
-    lib.raptor_gateway_send_requests(gateway, angle, pressure, speed, outbox.c)
-    brake, steer = outbox.take()
-    assert database.message("req_steer_pos").decode(steer.data)[:2] == (steer_counts, kmh)
-    assert database.message("req_brake_pos").decode(brake.data)[0] == brake_counts
-
-
-def test_the_brake_request_is_the_last_one_to_be_lost() -> None:
-    gateway, outbox = ffi.new("raptor_gateway *"), Outbox(1)
-    gateway.steer.known = True
-    lib.raptor_gateway_send_requests(gateway, 0.0, 0.0, 0.0, outbox.c)
-    assert [frame.id for frame in outbox.take()] == [database.message("req_brake_pos").frame_id]
-    assert (outbox.c.dropped, gateway.brake_counter, gateway.steer_counter) == (1, 1, 0)
-
-
 def test_a_full_outbox_loses_frames_and_nothing_else() -> None:
     car = car_in(9)
     for capacity in (0, 1, 2, 5, 10):

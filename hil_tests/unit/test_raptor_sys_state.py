@@ -59,6 +59,7 @@ TRANSITIONS: list[tuple[int, float, dict[str, int | bool], int]] = [
     (SUBSYS_CON, 60.0, {"emergency": True, "subsystems_ready": False}, SUBSYS_CON),
     (ACT_TESTING, 60.0, {"test_result": 0}, ACT_TESTING),
     (ACT_TESTING, 0.0, {"test_result": 1}, ACT_TEST_PASSED),
+    (ACT_TESTING, 0.0, {"test_result": 1, "safety_switch": 3}, ACT_TEST_PASSED),
     (ACT_TESTING, 0.0, {"test_result": 2}, ACT_TEST_FAIL),
     (ACT_TESTING, 0.0, {"safety_switch": 2, "test_result": 1}, SUBSYS_CON),
     (ACT_TEST_PASSED, 60.0, {}, ACT_TEST_PASSED),
@@ -162,10 +163,63 @@ def test_wide_ct_states_are_not_mistaken_for_small_ones() -> None:
 
 
 def test_a_zeroed_machine_goes_nowhere() -> None:
+    for emergency in (False, True):
+        machine = ffi.new("raptor_sys_machine *")
+        inputs = healthy(ct_state=7, track_flag=GREEN, emergency=emergency)
+        for tick in range(1000):
+            lib.raptor_sys_step(machine, CONFIG, inputs, tick * 10_000)
+        assert machine.state == 0
+
+
+def test_a_start_forgets_what_was_before_and_counts_from_its_first_step() -> None:
     machine = ffi.new("raptor_sys_machine *")
-    for tick in range(1000):
-        lib.raptor_sys_step(machine, CONFIG, healthy(ct_state=7, track_flag=GREEN), tick * 10_000)
-    assert machine.state == 0
+    ffi.buffer(machine)[:] = b"\x01" * ffi.sizeof("raptor_sys_machine")
+    lib.raptor_sys_init(machine)
+    start_us, power_on_us = 10**12, CONFIG.power_on_us
+    states = []
+    for late_us in (0, power_on_us - 1, power_on_us):
+        lib.raptor_sys_step(machine, CONFIG, healthy(), start_us + late_us)
+        states.append(machine.state)
+    assert states == [PWR_ON, PWR_ON, SUBSYS_CON]
+
+
+def entered(before: int, state: int, now_us: int, **changes: int | bool) -> Any:
+    """A machine that has just gone from one state to another, with conditions that have held since long before."""
+    machine = machine_in(before)
+    machine.conditions.active = True
+    lib.raptor_sys_step(machine, CONFIG, healthy(**changes), now_us)
+    assert machine.state == state
+    return machine
+
+
+ENTRIES: dict[int, tuple[int, dict[str, int | bool]]] = {
+    CHECK_INIT: (CRANKREADY, {"ct_state": 4}),
+    CRANKING: (CHECKS_PASSED, {"ct_state": 5, "track_flag": ORANGE}),
+}
+
+
+@pytest.mark.parametrize(
+    ("state", "hold_us", "after"),
+    [(CHECK_INIT, CONFIG.crank_check_us, CHECKS_PASSED), (CRANKING, CONFIG.engine_settle_us, ENG_IDLE)],
+)
+def test_what_held_before_a_state_was_entered_is_not_counted_in_it(state: int, hold_us: int, after: int) -> None:
+    before, keys = ENTRIES[state]
+    machine = entered(before, state, LATER_US, **keys)
+    for late_us, expected in ((1, state), (hold_us, state), (hold_us + 1, after)):
+        lib.raptor_sys_step(machine, CONFIG, healthy(), LATER_US + late_us)
+        assert machine.state == expected
+
+
+@pytest.mark.parametrize(
+    ("state", "limit_us", "after"),
+    [(CHECK_INIT, CONFIG.crank_check_limit_us, CHECKS_FAIL), (CRANKING, CONFIG.crank_limit_us, START_FAIL)],
+)
+def test_the_limit_of_a_state_counts_from_its_entry(state: int, limit_us: int, after: int) -> None:
+    before, keys = ENTRIES[state]
+    machine = entered(before, state, LATER_US, **keys)
+    for late_us, expected in ((limit_us - 1, state), (limit_us, after)):
+        lib.raptor_sys_step(machine, CONFIG, healthy(crank_conditions=False, engine_running=False), LATER_US + late_us)
+        assert machine.state == expected
 
 
 def test_conditions_must_hold_without_a_break() -> None:

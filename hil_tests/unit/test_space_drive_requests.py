@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import pytest
 from actuator_ecus import BRAKE_STOP, DEG, FULL_BRAKE, TICK_US, Requests, SpaceDrive, message_frame
 
 from bridge._native import ffi, lib
+from dbc.codec import database
 from dbc.frames import Bus, Flag, iterate
 
 STEER = lib.SPACE_DRIVE_EMERGENCY_STEER_REQUESTS
@@ -35,6 +37,7 @@ def driving(steer: float = 0.2, brake: float = 1.0e6) -> tuple[SpaceDrive, Reque
 
 def test_full_brake_from_the_first_tick_without_requests() -> None:
     drive = SpaceDrive()
+    assert drive.c.brake_demand == FULL_BRAKE, "in force before anything ran"
     drive.sense(0.4, 0.0)
     drive.follow = False
     for _ in range(100):
@@ -164,6 +167,31 @@ def test_the_emergency_brake_stays_but_the_steering_follows_valid_requests() -> 
     assert drive.drive.brake_pressure_demand == pytest.approx(0.0, abs=200), "a restart does clear it"
 
 
+def receive(request: Any, frame: bytes, bad_limit: int = 3) -> None:
+    pointer = ffi.new("can_frame *")
+    ffi.buffer(pointer)[:] = frame
+    lib.space_drive_request_receive(request, pointer, 0x4000, bad_limit, 7)
+
+
+def test_any_number_of_bad_requests_is_too_many() -> None:
+    request = ffi.new("space_drive_request *", {"state": lib.SPACE_DRIVE_REQUEST_FRESH})
+    limit = 0xFFFF
+    for bad in range(1, limit + 3):
+        receive(request, bytes(24), limit)
+        assert request.bad_in_row == min(bad, limit)
+        assert (request.state == lib.SPACE_DRIVE_REQUEST_LOST) == (bad >= limit)
+
+
+def test_only_the_steering_request_carries_the_speed() -> None:
+    """What a brake request has at its place is none."""
+    frame = changed(message_frame("req_brake_pos", 1), data=bytes([1, 2, 3, 4, 0, 0, 0, 0]))
+    brake, steer = ffi.new("space_drive_request *"), ffi.new("space_drive_request *")
+    receive(brake, database.message("req_brake_pos").finish(frame, 1))
+    receive(steer, message_frame("req_steer_pos", 1, cntrl_pos=0x0201, veh_speed=0x0403))
+    assert (brake.state, brake.counts, brake.speed_kmh) == (lib.SPACE_DRIVE_REQUEST_FRESH, 0x0201, 0)
+    assert (steer.state, steer.counts, steer.speed_kmh) == (lib.SPACE_DRIVE_REQUEST_FRESH, 0x0201, 0x0403)
+
+
 def test_lost_single_frames_are_ridden_through() -> None:
     drive, requests = driving()
     for number in range(300):
@@ -220,6 +248,51 @@ def test_shutdown_holds_the_brake_at_standstill_only(
         drive.tick()
     assert drive.drive.brake_pressure_demand == FULL_BRAKE
     assert drive.c.emergency == (0 if honoured else STEER | BRAKE)
+
+
+@pytest.mark.parametrize("channel", range(3))
+def test_one_channel_that_heard_of_a_moving_car_is_enough_to_refuse_a_shutdown(channel: int) -> None:
+    drive, _ = driving()
+    order = message_frame("Shutdown_seq", 0, shutdown=1, shutdown_2=1)
+    drive.c.steer.channels[channel].request.speed_kmh = 1
+    drive.tick([order])
+    assert not drive.c.shutdown
+    drive.c.steer.channels[channel].request.speed_kmh = 0
+    drive.tick([order])
+    assert drive.c.shutdown
+
+
+def test_a_request_whose_crc_has_the_bytes_of_a_shutdown_is_none() -> None:
+    drive = SpaceDrive()
+    request = message_frame("req_brake_pos", 6, contrl_pos_brk=12280)
+    assert request[-2:] == message_frame("Shutdown_seq", 0, shutdown=1, shutdown_2=1)[-2:]
+    drive.tick([request])
+    assert drive.c.brake.channels[0].request.state == lib.SPACE_DRIVE_REQUEST_FRESH
+    assert not drive.c.shutdown
+
+
+@pytest.mark.parametrize("shut_down", [False, True])
+def test_one_that_is_stopped_brakes_and_calls_it_an_emergency_unless_it_was_shut_down(shut_down: bool) -> None:
+    drive, requests = driving()
+    if shut_down:
+        drive.tick([message_frame("Shutdown_seq", 0, shutdown=1, shutdown_2=1)])
+    lib.space_drive_stop(drive.c)
+    drive.tick(requests.frames())
+    assert drive.c.emergency == (0 if shut_down else lib.SPACE_DRIVE_EMERGENCY_STOPPING)
+    assert drive.drive.brake_pressure_demand == FULL_BRAKE
+
+
+def test_a_configuration_of_ones_own_is_taken() -> None:
+    config = ffi.new("space_drive_config *", lib.space_drive_config_default)
+    config.steer.timeout_us = config.brake.timeout_us = 90_000
+    drive, requests = SpaceDrive(config), Requests()
+    drive.tick(requests.frames())
+    silent_us = 0
+    while drive.c.emergency == 0:
+        silent_us += TICK_US
+        drive.tick()
+        assert silent_us < 200_000
+    assert silent_us == 100_000
 
 
 def test_steering_range_ends_are_reached() -> None:

@@ -40,10 +40,18 @@ def test_three_channels_give_the_median() -> None:
         ([NAN, NAN, NAN], [False, False, False], (False, 0.0, [False, False, False])),
         ([1.0, 1.0, 99.0], [True, True, True], (True, 1.0, [False, False, True])),
         ([0.0, 50.0, 99.0], [True, True, True], (True, 50.0, [True, False, True])),
+        ([-4.0, 0.0, 4.0], [True, True, True], (True, 0.0, [False, False, False])),
+        ([1.0, 5.0, NAN], [True, True, False], (True, 3.0, [False, False, False])),
     ],
 )
 def test_degraded_votes(values: list[float], usable: list[bool], expected: tuple[bool, float, list[bool]]) -> None:
     assert vote(values, usable, 4.0) == expected
+
+
+def test_what_lies_behind_the_three_channels_has_no_vote() -> None:
+    values, usable = ffi.new("float[4]", [1.0, 3.0, NAN, 99.0]), ffi.new("bool[4]", [True, True, False, True])
+    ballot = lib.voter_vote(values, usable, 4.0)
+    assert (ballot.valid, ballot.value) == (True, 2.0)
 
 
 def driving(steer: float = 0.2, brake: float = 1.0e6) -> tuple[SpaceDrive, Requests]:

@@ -121,6 +121,7 @@ def test_no_launch_without_the_operator() -> None:
     ssm.step(count=2)
     assert ssm.stays(lib.SSM_LAUNCHING, count=500)
     assert nothing_allowed(ssm.out)
+    assert ssm.out.controller == lib.CONTROL_NONE
 
 
 @pytest.mark.parametrize("fault", [i for i in range(1, lib.FAULT_COUNT) if lib.fault_table[i].blocks_launch])
@@ -137,6 +138,15 @@ def test_warning_changes_nothing() -> None:
     assert ssm.step(WARN) == lib.SSM_NOMINAL
     assert ssm.out.reaction == lib.FAULT_REACTION_WARN
     assert ssm.limits == NOMINAL_LIMITS
+
+
+def test_the_output_is_written_whole_whatever_it_held() -> None:
+    clean, dirty = Ssm().nominal(), Ssm().nominal()
+    ffi.buffer(dirty.out)[:] = b"\xff" * ffi.sizeof("ssm_output")
+    assert clean.step(WARN, DEGRADE) == dirty.step(WARN, DEGRADE) == lib.SSM_DEGRADED
+    expected = ffi.new("ssm_output *", {name: getattr(clean.out, name) for name, _ in ffi.typeof("ssm_output").fields})
+    assert bytes(ffi.buffer(dirty.out)) == bytes(ffi.buffer(clean.out)) == bytes(ffi.buffer(expected))
+    assert clean.out.active_faults == 2
 
 
 def test_degrades_and_recovers() -> None:
