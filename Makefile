@@ -108,9 +108,11 @@ coverage: .venv-coverage/.built ## Run unit tests on instrumented firmware; SSM,
 	  --filter 'firmware/obc/ssm\.c' --filter 'firmware/obc/parameters\.c' --filter 'firmware/common/codec\.c' --filter 'firmware/common/dbw_profile\.c' \
 	  --txt-metric branch --print-summary --fail-under-line 100 --fail-under-branch 100 build/coverage
 
+MUTATE_TESTS ?= hil_tests/unit
+
 .PHONY: mutate
-mutate: build ## Plant small faults in the safety-relevant C, one at a time, and count how many the unit tests notice
-	$(BIN)/python -m tools.mutation
+mutate: build ## Plant small faults in the safety-relevant C, one at a time, and count those that the unit tests (MUTATE_TESTS) notice; goes on where it was stopped
+	$(BIN)/python -m tools.mutation $(MUTATE_TESTS)
 
 FUZZ_SECONDS ?= 60
 

@@ -112,6 +112,24 @@ def test_names_stay_when_lines_move():
     assert all(a.line + 2 == b.line for a, b in zip(one.mutants, other.mutants, strict=True))
 
 
+def test_each_has_a_name_of_its_own():
+    schemata = Schemata()
+    schemata.instrument("decide.c", b"int decide(int a) { a++; a++; return a; }\nint other(int a) { a++; return a; }")
+    keys = [mutant.key for mutant in schemata.mutants]
+    assert [key for key in keys if key.endswith((": a++ -> a--", ": a++ -> a-- (2)"))] == [
+        "decide.c:decide: a++ -> a--",
+        "decide.c:decide: a++ -> a-- (2)",
+        "decide.c:other: a++ -> a--",
+    ]
+    assert len(set(keys)) == len(keys)
+
+
+def test_what_is_nothing_already_is_not_returned_as_nothing():
+    schemata = Schemata()
+    schemata.instrument("pair.c", b"pair f(int a) { if (a) { return (pair){0}; } return (pair){a}; }")
+    assert [one.before for one in schemata.mutants if one.after == "return 0"] == ["return (pair){a};"]
+
+
 def test_what_is_no_c_is_refused():
     with pytest.raises(ValueError, match=r"broken\.c"):
         Schemata().instrument("broken.c", b"int f( {")

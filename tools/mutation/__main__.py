@@ -9,13 +9,15 @@ import shutil
 import subprocess
 import sys
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from hashlib import sha256
 from pathlib import Path
 
 import yaml
 
-from tools.mutation.pytest_mutants import Verdict
+from tools.mutation import verdicts
 from tools.mutation.schemata import Mutant, Schemata
+from tools.mutation.verdicts import Row, Verdict
 
 ROOT = Path(__file__).resolve().parents[2]
 WORK = ROOT / "build" / "mutation"
@@ -42,28 +44,61 @@ FILES = (
 _HOME = "firmware/common/codec.c"
 """Linked into each extension module: holds the numbers."""
 
+_NO_INFLUENCE = (
+    *("Makefile", "docs/strength.md", "tools/mutation/"),
+    *("hil_tests/contract/", "hil_tests/hil/", "hil_tests/vcan/"),
+)
+"""Nothing here is run, or has a say in what a unit test does."""
+
 TARGET = 0.98
 
 
-def build(files: Sequence[str]) -> list[Mutant]:
-    """Copy the project, put the mutants in, install it into an environment of its own."""
-    shutil.rmtree(SOURCE, ignore_errors=True)
-    SOURCE.mkdir(parents=True)
-    listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, check=True, capture_output=True).stdout
-    for name in listed.decode().split("\0"):
-        if name and (ROOT / name).is_file():
-            (SOURCE / name).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copy2(ROOT / name, SOURCE / name)
+def build(files: Sequence[str] = FILES) -> tuple[list[Mutant], str]:
+    """Copy the project with the mutants in it, and install it into an environment of its own if anything changed.
+
+    Returns
+    -------
+    mutants, and digest of all that has a say in a verdict except the test modules.
+    """
     schemata = Schemata()
-    texts = {name: schemata.instrument(name, (ROOT / name).read_bytes()) for name in files}
-    home = texts.get(_HOME, (ROOT / _HOME).read_text())
+    texts = {name: schemata.instrument(name, (ROOT / name).read_bytes()).encode() for name in files}
+    home = texts.get(_HOME, (ROOT / _HOME).read_bytes())
     texts[_HOME] = home + (
-        "\n#include <stdint.h>\n"
-        '__attribute__((visibility("default"))) volatile uint32_t mutation_alive;\n'
-        f'__attribute__((visibility("default"))) volatile uint8_t mutation_reached[{len(schemata.mutants) + 1}];\n'
-    )
-    for name, text in texts.items():
-        (SOURCE / name).write_text(text)
+        b"\n#include <stdint.h>\n"
+        b'__attribute__((visibility("default"))) volatile uint32_t mutation_alive;\n'
+        b'__attribute__((visibility("default"))) volatile uint8_t mutation_reached[%d];\n'
+    ) % (len(schemata.mutants) + 1)
+    listed = subprocess.run(
+        ["git", "ls-files", "-zco", "--exclude-standard"], cwd=ROOT, check=True, capture_output=True
+    ).stdout
+    names = [name for name in listed.decode().split("\0") if name and (ROOT / name).is_file()]
+    digest = sha256()
+    for name in names:
+        text = texts.get(name) or (ROOT / name).read_bytes()
+        _put(SOURCE / name, text, (ROOT / name).stat().st_mode)
+        if not name.startswith((*_NO_INFLUENCE, "hil_tests/unit/test_")):
+            digest.update(name.encode() + b"\0" + sha256(text).digest())
+    for path in SOURCE.glob("hil_tests/unit/*.py"):
+        if path.relative_to(SOURCE).as_posix() not in names:
+            path.unlink()
+    project = digest.hexdigest()[:16]
+    built = WORK / "built"
+    if not built.exists() or built.read_text() != project:
+        built.unlink(missing_ok=True)
+        _install()
+        built.write_text(project)
+    return schemata.mutants, project
+
+
+def _put(path: Path, text: bytes, mode: int) -> None:
+    """Write a file unless it is there as it should be: what is not touched is not compiled again."""
+    if not path.exists() or path.read_bytes() != text:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(text)
+    path.chmod(mode)
+
+
+def _install() -> None:
     python = ENVIRONMENT / "bin" / "python"
     if not python.exists():
         subprocess.run([sys.executable, "-m", "venv", ENVIRONMENT], check=True)
@@ -72,87 +107,95 @@ def build(files: Sequence[str]) -> list[Mutant]:
         target = subprocess.run([python, "-c", lend], check=True, capture_output=True, text=True).stdout.strip()
         Path(target, "dependencies.pth").write_text(packages)
     tools = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    # A mutant may count down where it should count up: what overflows then wraps, and is not undefined.
+    flags = "--config-settings=cmake.define.CMAKE_C_FLAGS=-w -std=gnu11 -fwrapv"
     subprocess.run(
         [
             *(str(python), "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-build-isolation"),
-            *("--no-deps", "--editable", ".", "--config-settings=cmake.define.CMAKE_C_FLAGS=-w -std=gnu11"),
+            *("--no-deps", "--editable", ".", flags),
         ],
         cwd=SOURCE,
         check=True,
         env=os.environ | {"PATH": tools},
     )
-    return schemata.mutants
 
 
-def run(mutants: Sequence[Mutant], tests: Sequence[str], workers: int) -> dict[int, tuple[Verdict, int, str]]:
-    """Verdict, number of tests that reach it, and who killed it, by mutant."""
-    parts = []
-    for part in range(workers):
-        out = WORK / f"verdicts.{part}"
-        arguments = [
-            *("-m", "pytest", "-q", "-p", "tools.mutation.pytest_mutants", "-p", "no:cacheprovider", "-p", "no:xdist"),
-            *("-m", "not realtime and not machine and not vcan", "--tb=no", "--no-header"),
-            *(f"--mutants={len(mutants)}", f"--mutants-out={out}", f"--mutants-part={part}/{workers}", *tests),
-        ]
-        process = subprocess.Popen(
-            [ENVIRONMENT / "bin" / "python", *arguments], cwd=SOURCE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
-        )
-        parts.append((process, out))
-    verdicts: dict[int, tuple[Verdict, int, str]] = {}
-    for process, out in parts:
-        said, _ = process.communicate()
-        if process.returncode:
-            raise SystemExit(f"{said.decode()[-2000:]}\nmutation testing failed, status {process.returncode}")
-        for line in out.read_text().splitlines():
-            row = json.loads(line)
-            verdicts[row["mutant"]] = (Verdict[row["verdict"]], row["tests"], row["by"])
-    return verdicts
+def run(mutants: Sequence[Mutant], project: str, files: Sequence[str], tests: Sequence[str], workers: int) -> None:
+    """Judge the mutants of some files; verdicts are kept in `build/mutation/verdicts.jsonl`."""
+    known = [{"number": one.number, "key": one.key, "path": one.path} for one in mutants]
+    listed = {"project": project, "files": list(files), "mutants": known}
+    (WORK / "mutants.json").write_text(json.dumps(listed))
+    arguments = [
+        *(
+            "-m",
+            "pytest",
+            "-o",
+            "addopts=--strict-markers",
+            "-p",
+            "tools.mutation.pytest_mutants",
+            "-p",
+            "no:cacheprovider",
+            "-p",
+            "no:xdist",
+        ),
+        *("-p", "no:terminal", "-p", "no:faulthandler"),
+        *("-m", "not realtime and not machine and not vcan"),
+        *("--assert=plain", "--capture=sys", f"--mutants={WORK}", f"--mutants-workers={workers}", *tests),
+    ]
+    done = subprocess.run([ENVIRONMENT / "bin" / "python", *arguments], cwd=SOURCE, check=False)
+    if done.returncode:
+        raise SystemExit(f"mutation testing failed, status {done.returncode}")
 
 
-def report(mutants: Sequence[Mutant], verdicts: dict[int, tuple[Verdict, int, str]]) -> bool:
+def report(mutants: Sequence[Mutant], rows: Mapping[str, Row]) -> bool:
     """Print the score, and each survivor that nobody has explained; tells whether the target is met."""
     reasons: dict[str, str] = yaml.safe_load(EQUIVALENT.read_text()) or {}
-    survivors = [one for one in mutants if verdicts[one.number][0] in (Verdict.SURVIVED, Verdict.NOT_REACHED)]
-    explained = [one for one in survivors if _reason(reasons, one)]
-    counts = Counter(verdict for verdict, _, _ in verdicts.values())
+    found = {one.key: Verdict[rows[one.key].verdict] for one in mutants}
+    survivors = [one for one in mutants if found[one.key] in (Verdict.SURVIVED, Verdict.NOT_REACHED)]
+    explained = [one for one in survivors if reasons.get(one.key)]
     for one in survivors:
-        if not _reason(reasons, one):
-            verdict, reached_by, _ = verdicts[one.number]
-            print(f"{verdict.name.lower()}, {reached_by} tests: {one.path}:{one.line}: {one.key.split(':', 1)[1]}")
+        if not reasons.get(one.key):
+            name = found[one.key].name.lower().replace("_", " ")
+            print(f"{name}, {rows[one.key].tests} tests: {one.path}:{one.line}: {one.key.partition(':')[2]}")
     by_file: dict[str, Counter[Verdict]] = {}
     for one in mutants:
-        by_file.setdefault(one.path, Counter())[verdicts[one.number][0]] += 1
-    print(f"{'file':<36}{'mutants':>8}{'killed':>8}{'timeout':>8}{'crashed':>8}{'survived':>9}{'not reached':>12}")
-    for path, found in by_file.items():
+        by_file.setdefault(one.path, Counter())[found[one.key]] += 1
+    total: Counter[Verdict] = sum(by_file.values(), Counter())
+    print(f"{'file':<36}{'mutants':>8}{'killed':>8}{'time-out':>9}{'crashed':>8}{'survived':>9}{'not reached':>12}")
+    for path, counts in (*by_file.items(), ("all", total)):
         print(
-            f"{path:<36}{found.total():>8}{found[Verdict.KILLED]:>8}{found[Verdict.TIMED_OUT]:>8}"
-            f"{found[Verdict.CRASHED]:>8}{found[Verdict.SURVIVED]:>9}{found[Verdict.NOT_REACHED]:>12}"
+            f"{path:<36}{counts.total():>8}{counts[Verdict.KILLED]:>8}{counts[Verdict.TIMED_OUT]:>9}"
+            f"{counts[Verdict.CRASHED]:>8}{counts[Verdict.SURVIVED]:>9}{counts[Verdict.NOT_REACHED]:>12}"
         )
-    valid = len(mutants) - counts[Verdict.CRASHED]
-    killed = counts[Verdict.KILLED] + counts[Verdict.TIMED_OUT]
-    score, alive = killed / valid, valid - killed - len(explained)
-    print(f"{len(mutants)} mutants, of which {counts[Verdict.CRASHED]} crash and are not counted")
-    print(f"of {valid} {killed} are killed: {score:.1%} (target {TARGET:.0%})")
+    killed = total[Verdict.KILLED]
+    valid = killed + len(survivors)
+    score, alive = killed / valid, len(survivors) - len(explained)
+    print(f"valid are the {valid} that neither crash nor run out of time")
+    print(f"a test fails for {killed} of them: {score:.1%} (target {TARGET:.0%})")
     print(f"of the others {len(explained)} change nothing (equivalent.yaml), {alive} are not explained")
-    unused = sorted(reasons.keys() - {one.key for one in explained})
+    paths = tuple(f"{path}:" for path in by_file)
+    unused = sorted(key for key in reasons.keys() - {one.key for one in explained} if key.startswith(paths))
     for key in unused:
         print(f"equivalent.yaml: {key}: no such survivor")
     return score >= TARGET and not alive and not unused
-
-
-def _reason(reasons: dict[str, str], mutant: Mutant) -> str:
-    return reasons.get(mutant.key, "")
 
 
 def main() -> int:
     """Run the command; returns the exit status."""
     parser = argparse.ArgumentParser(prog="python -m tools.mutation", description=__doc__)
     parser.add_argument("tests", nargs="*", default=["hil_tests/unit"], help="(default: hil_tests/unit)")
-    parser.add_argument("--file", action="append", help="source to mutate (default: what decides about safety)")
+    parser.add_argument("--file", action="append", choices=FILES, help="take its mutants only (default: all)")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes (default: one per core)")
+    parser.add_argument("--fresh", action="store_true", help="forget the verdicts that are kept")
     options = parser.parse_args()
-    mutants = build(options.file or FILES)
-    return 0 if report(mutants, run(mutants, options.tests, options.workers)) else 1
+    if options.fresh:
+        shutil.rmtree(WORK, ignore_errors=True)
+    WORK.mkdir(parents=True, exist_ok=True)
+    mutants, project = build()
+    files = options.file or FILES
+    run(mutants, project, files, options.tests, options.workers)
+    chosen = [one for one in mutants if one.path in files]
+    return 0 if report(chosen, verdicts.load(WORK / "verdicts.jsonl")) else 1
 
 
 if __name__ == "__main__":

@@ -1,160 +1,206 @@
-"""pytest plug-in: once through the tests with no mutant alive, then each mutant against the tests that reach it.
-
-A mutant gets a process of its own, forked from this one, so that nothing has to be loaded again and a crash is its own.
-"""
+"""pytest plug-in: once through the tests with no mutant alive, then each mutant against the tests that reach it."""
 
 from __future__ import annotations
 
-import ctypes
-import importlib
 import json
 import os
-import signal
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
-from enum import IntEnum
+from collections import Counter
+from collections.abc import Generator, Sequence
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-#: Extension modules that hold the firmware, each with a copy of its own.
-_MODULES = ("bridge._native", "dbc._codec")
+from tools.mutation import verdicts
+from tools.mutation.judge import Judge, ReachingTest, Switch, order
+from tools.mutation.verdicts import Row, Verdict
 
-_PATIENCE_S = 20.0
-
-
-class Verdict(IntEnum):
-    """What became of a mutant."""
-
-    SURVIVED = 0
-    KILLED = 1
-    CRASHED = 2
-    TIMED_OUT = 3
-    NOT_REACHED = 4
-
-
-class Switch:
-    """The numbers in the extension modules that say which mutant is alive.
-
-    Parameters
-    ----------
-    count : of mutants.
-    """
-
-    def __init__(self, count: int) -> None:
-        libraries = [ctypes.CDLL(str(importlib.import_module(name).__file__)) for name in _MODULES]
-        self._alive = [ctypes.c_uint32.in_dll(library, "mutation_alive") for library in libraries]
-        self._reached = [(ctypes.c_uint8 * (count + 1)).in_dll(library, "mutation_reached") for library in libraries]
-
-    def wake(self, number: int) -> None:
-        """Let one mutant live."""
-        for alive in self._alive:
-            alive.value = number
-
-    def take_reached(self) -> set[int]:
-        """Mutants that were reached since this was asked last."""
-        found: set[int] = set()
-        for reached in self._reached:
-            found.update(number for number, mark in enumerate(bytes(reached)) if mark)
-            ctypes.memset(reached, 0, len(reached))
-        return found
+_FAVOURITES = 5
+_PROGRESS_S = 30.0
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Add the options that the command passes."""
-    parser.addoption("--mutants", type=int, help="how many there are")
-    parser.addoption("--mutants-out", type=Path, help="file for the verdicts")
-    parser.addoption("--mutants-part", default="0/1", help="which of how many parts")
+    parser.addoption("--mutants", type=Path, help="folder with the list of mutants, for all that is kept")
+    parser.addoption("--mutants-workers", type=int, default=1, help="processes")
 
 
-@pytest.hookimpl(tryfirst=True)
-def pytest_runtestloop(session: pytest.Session) -> bool:
-    """Run the tests, and then the mutants."""
-    count = session.config.getoption("--mutants")
-    part, parts = map(int, session.config.getoption("--mutants-part").split("/"))
-    switch = Switch(count)
-    tests = _baseline(session, switch)
-    out: Path = session.config.getoption("--mutants-out")
-    with out.open("w") as lines:
-        for number in range(1 + part, count + 1, parts):
-            reaching = sorted((one for one in tests if number in one.reached), key=lambda one: one.seconds)
-            verdict, test = _judge(switch, number, reaching)
-            json.dump({"mutant": number, "verdict": verdict.name, "tests": len(reaching), "by": test}, lines)
-            lines.write("\n")
-            lines.flush()
-    return True
+def pytest_configure(config: pytest.Config) -> None:
+    """Start to watch what is reached."""
+    config.pluginmanager.register(Mutation(config.getoption("--mutants"), config.getoption("--mutants-workers")))
 
 
-class _Test:
-    """A test with what it reaches."""
+class Mutation:
+    """The run over all mutants.
 
-    def __init__(self, item: pytest.Item, seconds: float, reached: set[int]) -> None:
-        self.item, self.seconds, self.reached = item, seconds, reached
+    Parameters
+    ----------
+    folder : holds `mutants.json` (see `tools.mutation.__main__`), what each test reaches, and the verdicts.
+    workers : processes that judge.
+    """
 
+    def __init__(self, folder: Path, workers: int) -> None:
+        listed = json.loads((folder / "mutants.json").read_text())
+        self._project: str = listed["project"]
+        self._mutants: list[dict[str, Any]] = listed["mutants"]
+        self._chosen: set[str] = set(listed["files"])
+        self._reach, self._verdicts, self._workers = folder / "reach.json", folder / "verdicts.jsonl", workers
+        self._switch = Switch(max(one["number"] for one in self._mutants))
+        self._open: list[set[int]] = []
+        self._shared: dict[tuple[str, str], set[int]] = {}
 
-def _baseline(session: pytest.Session, switch: Switch) -> list[_Test]:
-    tests = []
-    for place, item in enumerate(session.items):
-        following = session.items[place + 1] if place + 1 < len(session.items) else None
-        switch.take_reached()
-        started = time.perf_counter()
-        item.config.hook.pytest_runtest_protocol(item=item, nextitem=following)
-        tests.append(_Test(item, time.perf_counter() - started, switch.take_reached()))
-    if session.testsfailed:
-        raise session.Failed("a test fails without any mutant")
-    return tests
+    @pytest.hookimpl(tryfirst=True)
+    def pytest_runtestloop(self, session: pytest.Session) -> bool:
+        """Run the tests, and then the mutants."""
+        tests, modules = self._baseline(session)
+        slowest: dict[str, float] = {}
+        for test in tests:
+            slowest[test.module] = max(slowest.get(test.module, 0.0), test.seconds)
+        judge = Judge(self._switch.wake, {module: 3.0 * seconds for module, seconds in slowest.items()})
+        by_file: dict[str, list[dict[str, Any]]] = {}
+        for mutant in self._mutants:
+            if mutant["path"] in self._chosen:
+                by_file.setdefault(mutant["path"], []).append(mutant)
+        for path in sorted(by_file, key=lambda one: len(by_file[one])):
+            self._judge_file(judge, path, by_file[path], tests, modules)
+        return True
 
+    @pytest.hookimpl(wrapper=True)
+    def pytest_fixture_setup(self, fixturedef: pytest.FixtureDef[Any]) -> Generator[None, object, object]:
+        """Note what is reached where a fixture is set up that several tests share."""
+        if fixturedef.scope == "function":
+            return (yield)
+        self._note()
+        self._open.append(self._shared.setdefault((fixturedef.baseid, fixturedef.argname), set()))
+        try:
+            return (yield)
+        finally:
+            self._note()
+            self._open.pop()
 
-def _judge(switch: Switch, number: int, reaching: list[_Test]) -> tuple[Verdict, str]:
-    """Run the tests in a child until one fails."""
-    if not reaching:
-        return Verdict.NOT_REACHED, ""
-    patience_s = _PATIENCE_S + 10.0 * sum(test.seconds for test in reaching)
-    read_end, write_end = os.pipe()
-    child = os.fork()
-    if child == 0:
-        os.close(read_end)
-        _live(switch, number, reaching, write_end)
-    os.close(write_end)
-    with _alarm(child, patience_s), os.fdopen(read_end) as pipe:
-        test = pipe.read()
-        _, status = os.waitpid(child, 0)
-    if os.WIFSIGNALED(status):
-        killed_by = os.WTERMSIG(status)
-        return (Verdict.TIMED_OUT if killed_by == signal.SIGKILL else Verdict.CRASHED), signal.Signals(killed_by).name
-    return Verdict(os.WEXITSTATUS(status)), test
+    def _note(self) -> None:
+        found = self._switch.take_reached()
+        for reached in self._open:
+            reached.update(found)
 
+    def _baseline(self, session: pytest.Session) -> tuple[list[ReachingTest], dict[str, str]]:
+        """Tests with what they reach, and the digest of each of their modules."""
+        by_module: dict[str, list[pytest.Item]] = {}
+        for item in session.items:
+            by_module.setdefault(item.nodeid.partition("::")[0], []).append(item)
+        digests = {name: sha256((session.config.rootpath / name).read_bytes()).hexdigest()[:16] for name in by_module}
+        kept = json.loads(self._reach.read_text()) if self._reach.exists() else {}
+        if kept.get("project") != self._project:
+            kept = {"project": self._project, "modules": {}}
+        tests = []
+        for name, items in by_module.items():
+            known = kept["modules"].get(name, {})
+            if known.get("digest") != digests[name] or not {item.nodeid for item in items} <= known["tests"].keys():
+                print(f"without any mutant: {name}, {len(items)} tests", flush=True)
+                known = {"digest": digests[name], "tests": self._run(items)}
+                kept["modules"][name] = known
+                partial = self._reach.with_suffix(".part")
+                partial.write_text(json.dumps(kept))
+                partial.replace(self._reach)
+            tests += [
+                ReachingTest(item, known["tests"][item.nodeid][0], set(known["tests"][item.nodeid][1]))
+                for item in items
+            ]
+        return tests, digests
 
-def _live(switch: Switch, number: int, reaching: list[_Test], write_end: int) -> None:
-    """In the child: never returns."""
-    nothing = os.open(os.devnull, os.O_WRONLY)
-    os.dup2(nothing, 1)
-    os.dup2(nothing, 2)
-    switch.wake(number)
-    session = reaching[0].item.session
-    session.testsfailed = 0
-    for place, test in enumerate(reaching):
-        following = reaching[place + 1].item if place + 1 < len(reaching) else None
-        test.item.config.hook.pytest_runtest_protocol(item=test.item, nextitem=following)
-        if session.testsfailed:
-            os.write(write_end, test.item.nodeid.encode())
-            os._exit(Verdict.KILLED)
-    os._exit(Verdict.SURVIVED)
+    def _run(self, items: Sequence[pytest.Item]) -> dict[str, tuple[float, list[int]]]:
+        """Seconds that each test of a module took, and the mutants that it reached."""
+        found: dict[str, tuple[float, set[int]]] = {}
+        self._switch.take_reached()
+        for place, item in enumerate(items):
+            following = items[place + 1] if place + 1 < len(items) else None
+            self._open = [set()]
+            started = time.process_time()
+            item.config.hook.pytest_runtest_protocol(item=item, nextitem=following)
+            self._note()
+            found[item.nodeid] = time.process_time() - started, self._open[0]
+            if item.session.testsfailed:
+                raise item.session.Failed(f"fails without any mutant: {item.nodeid}")
+        for item in items:
+            for (base, fixture), reached in self._shared.items():
+                if item.nodeid.startswith(base) and fixture in getattr(item, "fixturenames", ()):
+                    found[item.nodeid][1].update(reached)
+        return {name: (seconds, sorted(reached)) for name, (seconds, reached) in found.items()}
 
+    def _judge_file(
+        self,
+        judge: Judge,
+        path: str,
+        mutants: Sequence[dict[str, Any]],
+        tests: Sequence[ReachingTest],
+        modules: dict[str, str],
+    ) -> None:
+        """Judge those whose verdict does not stand, in several processes."""
+        known = verdicts.load(self._verdicts)
+        due = [one for one in mutants if one["key"] not in known or known[one["key"]].unheard(self._project, modules)]
+        started = time.monotonic()
+        print(f"{path}: {len(mutants)} mutants, {len(due)} to be judged", flush=True)
+        children = []
+        for part in range(self._workers if due else 0):
+            child = os.fork()
+            if child == 0:
+                try:
+                    self._judge_part(judge, due[part :: self._workers], known, tests, modules)
+                    os._exit(0)
+                finally:
+                    os._exit(1)
+            children.append(child)
+        failed = [child for child in children if os.waitpid(child, 0)[1]]
+        if failed:
+            raise pytest.UsageError(f"{path}: a process of the judge failed")
+        rows = verdicts.load(self._verdicts)
+        counts = Counter(rows[one["key"]].verdict.lower().replace("_", " ") for one in mutants)
+        said = ", ".join(f"{count} {name}" for name, count in counts.most_common())
+        print(f"{path}: {said}; {time.monotonic() - started:.0f} s", flush=True)
 
-@contextmanager
-def _alarm(child: int, seconds: float) -> Iterator[None]:
-    """Kill a child that takes too long."""
+    def _judge_part(
+        self,
+        judge: Judge,
+        due: Sequence[dict[str, Any]],
+        known: dict[str, Row],
+        tests: Sequence[ReachingTest],
+        modules: dict[str, str],
+    ) -> None:
+        killers: list[str] = []
+        said = time.monotonic()
+        for place, mutant in enumerate(due):
+            row = self._judge_one(judge, mutant, known.get(mutant["key"]), killers, tests, modules)
+            verdicts.append(self._verdicts, row)
+            if row.verdict == Verdict.KILLED.name:
+                killers = [row.by, *(one for one in killers if one != row.by)][:_FAVOURITES]
+            if time.monotonic() - said > _PROGRESS_S:
+                said = time.monotonic()
+                print(f"    {place + 1} of {len(due)}", flush=True)
 
-    def kill(*_: Any) -> None:
-        os.kill(child, signal.SIGKILL)
-
-    before = signal.signal(signal.SIGALRM, kill)
-    signal.setitimer(signal.ITIMER_REAL, seconds)
-    try:
-        yield
-    finally:
-        signal.setitimer(signal.ITIMER_REAL, 0)
-        signal.signal(signal.SIGALRM, before)
+    def _judge_one(
+        self,
+        judge: Judge,
+        mutant: dict[str, Any],
+        before: Row | None,
+        killers: Sequence[str],
+        tests: Sequence[ReachingTest],
+        modules: dict[str, str],
+    ) -> Row:
+        reaching = [test for test in tests if mutant["number"] in test.reached]
+        old = Verdict.NOT_REACHED
+        heard: dict[str, str] = {}
+        if before is not None and before.verdict != Verdict.KILLED.name and before.project == self._project:
+            heard, old = dict(before.modules), Verdict[before.verdict]
+        asked = [test for test in reaching if heard.get(test.module) != modules[test.module]]
+        favourites = [*([before.by] if before is not None else []), *killers]
+        verdict, by = judge.verdict(mutant["number"], order(asked, favourites)) if asked else (old, "")
+        if verdict is Verdict.KILLED:
+            heard = {by.partition("::")[0]: modules[by.partition("::")[0]]}
+        else:
+            heard |= modules
+            if old in (Verdict.CRASHED, Verdict.TIMED_OUT):
+                assert before is not None
+                verdict, by = old, before.by
+        return Row(mutant["key"], self._project, verdict.name, by, len(reaching), heard)

@@ -6,6 +6,7 @@ compile time (tables, enums, macros, case labels) has no mutants.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 
@@ -61,6 +62,7 @@ class Mutant:
     line : in it, from 1.
     function : that it is in.
     before, after : text that is changed.
+    nth : of those in the function with the same texts, from 1.
     """
 
     number: int
@@ -69,11 +71,13 @@ class Mutant:
     function: str
     before: str
     after: str
+    nth: int
 
     @property
     def key(self) -> str:
-        """Name that does not change when lines move."""
-        return f"{self.path}:{self.function}: {self.before} -> {self.after}"
+        """Name that does not change when lines move, and that no other mutant has."""
+        nth = f" ({self.nth})" if self.nth > 1 else ""
+        return f"{self.path}:{self.function}: {self.before} -> {self.after}{nth}"
 
 
 @dataclass
@@ -89,6 +93,7 @@ class Schemata:
     _path: str = ""
     _function: str = ""
     _source: bytes = b""
+    _alike: Counter[tuple[str, str, str, str]] = field(default_factory=Counter)
 
     def instrument(self, path: str, source: bytes) -> str:
         """Source text with its mutants."""
@@ -105,7 +110,11 @@ class Schemata:
         shown_before, shown_after = (" ".join(text.split()) for text in (before, after))
         number = len(self.mutants) + 1
         line = node.start_point.row + 1
-        self.mutants.append(Mutant(number, self._path, line, self._function, shown_before, shown_after))
+        alike = (self._path, self._function, shown_before, shown_after)
+        self._alike[alike] += 1
+        self.mutants.append(
+            Mutant(number, self._path, line, self._function, shown_before, shown_after, self._alike[alike])
+        )
         return number
 
     def _rewrite(self, node: Node) -> str:
@@ -162,7 +171,7 @@ class Schemata:
             if value.isupper():  # an enumerator, which may be 0
                 number = self._add(node, text, f"return {value} + 1")
                 return f"{{ if (MUTANT({number})) {{ return {value} + 1; }} {changed} }}"
-            if value not in _NOTHING:
+            if value not in _NOTHING and not value.endswith("{0}"):
                 number = self._add(node, text, "return 0")
                 nothing = f"__typeof__({value}) nothing; memset((void *)&nothing, 0, sizeof nothing); return nothing;"
                 return f"{{ if (MUTANT({number})) {{ {nothing} }} {changed} }}"
