@@ -195,8 +195,11 @@ def test_what_lies_behind_the_three_channels_has_no_say() -> None:
     behind = ffi.addressof(axes[0].channels, 0) + 3
     axis.ask(100, None, None)
     behind.request.state, behind.request.counts, behind.sensor_valid = FRESH, 100, True
+    behind.position = 5.0
+    before = bytes(ffi.buffer(ffi.addressof(axes, 1)))
     axis.sensors = [0.0, 0.0, NAN]
     axis.step()
+    assert bytes(ffi.buffer(ffi.addressof(axes, 1))) == before
     assert not axes[0].ready
     axes[0].demand_valid = False
     axis.ask(100, 900, 900)

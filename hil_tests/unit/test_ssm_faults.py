@@ -122,6 +122,19 @@ def test_a_fault_alone_leaves_its_own_share(fault: Fault) -> None:
     assert (share.speed, share.acceleration) == (row.share.speed, row.share.acceleration)
 
 
+@pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: fault.name)
+def test_a_fault_demands_its_own_reaction_and_of_equals_the_first_is_the_worst(fault: Fault) -> None:
+    monitor = Monitor()
+    monitor.c.faults[fault.id].active = True
+    demanded = [reaction for reaction in range(len(REACTIONS)) if lib.fault_monitor_demands(monitor.c, reaction)]
+    assert demanded == [REACTIONS.index(fault.reaction)]
+    for other in FAULTS:
+        if other.reaction == fault.reaction != "none":
+            monitor.c.faults[other.id].active = True
+            assert lib.fault_monitor_worst(monitor.c) == min(fault.id, other.id)
+            monitor.c.faults[other.id].active = other.id == fault.id
+
+
 def test_events_that_wait_are_no_faults() -> None:
     monitor = Monitor()
     ffi.buffer(monitor.c.events)[:] = b"\x01" * ffi.sizeof(monitor.c.events)
