@@ -13,7 +13,7 @@ SCENARIO ?=
 
 # What a change in compiled code or in its generators must rebuild.
 NATIVE := CMakeLists.txt pyproject.toml \
-  $(shell find dbc firmware plant_fmu bridge -name '*.c' -o -name '*.h' -o -name '*.def' -o -name CMakeLists.txt \
+  $(shell find dbc firmware plant_fmu bridge autonomy -name '*.c' -o -name '*.h' -o -name '*.def' -o -name CMakeLists.txt \
     -o -name '*.dbc' -o -path 'firmware/schema/*.yaml' -o -name 'generate.py' -o -name 'cffi_binding.py' \
     -o -path 'dbc/network.py' -o -path 'dbc/buses.py' -o -path 'firmware/tables.py' -o -path 'plant_fmu/*.py')
 

@@ -11,6 +11,6 @@ while IFS= read -r object; do
         exit 1
     fi
     grep -q __ubsan_ <<<"$symbols" && count=$((count + 1))
-done < <(find "$folder/firmware" "$folder/bridge" "$folder/dbc" "$folder/plant_fmu" -name '*.c.o')
+done < <(find "$folder/firmware" "$folder/bridge" "$folder/autonomy" "$folder/dbc" "$folder/plant_fmu" -name '*.c.o')
 echo "UBSan is in $count objects"
 ((count > 0))
