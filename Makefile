@@ -65,6 +65,12 @@ matrix: build ## Run the whole reaction matrix: every fault by operating state a
 bench: build ## Measure this loop side by side with the plain loop a user would write
 	$(BIN)/raceloop bench
 
+.PHONY: detection-bench
+detection-bench: build ## Measure LiDAR detection beside numpy, scipy and scikit-learn on the same scans
+	$(BIN)/python -c 'import tomllib; print(*tomllib.load(open("pyproject.toml", "rb"))["project"]["optional-dependencies"]["bench"], sep="\n")' > $(VENV)/bench-requirements.txt
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -r $(VENV)/bench-requirements.txt
+	$(BIN)/python -m tools.detection_bench
+
 .PHONY: jitter
 jitter: build ## Measure the onboard computer's cycle, idle and under load, beside cyclictest; results to OUT/jitter
 	$(BIN)/raceloop jitter --seconds 60 --load all --out '$(OUT)/jitter'
