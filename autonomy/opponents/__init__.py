@@ -1,0 +1,1 @@
+"""Opponents: tracking of detections and prediction of where the tracked cars will be."""
