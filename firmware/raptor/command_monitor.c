@@ -75,7 +75,7 @@ static bool judge(bool plausible, uint16_t *in_a_row)
 
 static void take_brake(raptor_command_monitor *self, const can_frame *frame)
 {
-    struct raptor_brake_pressure_cmd_t message = {0};
+    struct raptor_brake_pressure_cmd_t message;
     (void)raptor_brake_pressure_cmd_unpack(&message, frame->data, sizeof frame->data);
     const float pressure = (float)message.brake_pressure_cmd * pa_per_kpa;
     if (judge(pressure <= SPACE_DRIVE_BRAKE_STOP_PA, &self->brake_implausible)) {
@@ -86,7 +86,7 @@ static void take_brake(raptor_command_monitor *self, const can_frame *frame)
 
 static void take_throttle(raptor_command_monitor *self, const can_frame *frame)
 {
-    struct raptor_accelerator_cmd_t message = {0};
+    struct raptor_accelerator_cmd_t message;
     (void)raptor_accelerator_cmd_unpack(&message, frame->data, sizeof frame->data);
     const float throttle = (float)message.acc_pedal_cmd * 1.0e-4f; /* 0.01 % */
     if (judge(throttle >= 0.0f && throttle <= 1.0f, &self->throttle_implausible)) {
@@ -98,7 +98,7 @@ static void take_throttle(raptor_command_monitor *self, const can_frame *frame)
 static void take_steering(raptor_command_monitor *self, const raptor_config *config, const can_frame *frame,
                           uint8_t sys_state)
 {
-    struct raptor_steering_cmd_t message = {0};
+    struct raptor_steering_cmd_t message;
     (void)raptor_steering_cmd_unpack(&message, frame->data, sizeof frame->data);
     const float angle = (float)message.steering_motor_ang_cmd * 0.5f * rad_per_deg;
     const bool steps = sys_state == RAPTOR_SYS_DRIVING && self->steering_known &&
@@ -113,7 +113,7 @@ static void take_steering(raptor_command_monitor *self, const raptor_config *con
 
 static void take_gear(raptor_command_monitor *self, const can_frame *frame)
 {
-    struct raptor_gear_shift_cmd_t message = {0};
+    struct raptor_gear_shift_cmd_t message;
     (void)raptor_gear_shift_cmd_unpack(&message, frame->data, sizeof frame->data);
     if (judge(message.desired_gear <= GEAR_MAX, &self->gear_implausible)) {
         self->command.gear = message.desired_gear;
@@ -122,14 +122,14 @@ static void take_gear(raptor_command_monitor *self, const can_frame *frame)
 
 static void take_ct_report(raptor_command_monitor *self, const can_frame *frame)
 {
-    struct raptor_ct_report_t message = {0};
+    struct raptor_ct_report_t message;
     (void)raptor_ct_report_unpack(&message, frame->data, sizeof frame->data);
     self->command.ct_state = message.ct_state;
 }
 
 static void take_switches(raptor_command_monitor *self, const can_frame *frame)
 {
-    struct raptor_dash_switches_cmd_t message = {0};
+    struct raptor_dash_switches_cmd_t message;
     (void)raptor_dash_switches_cmd_unpack(&message, frame->data, sizeof frame->data);
     self->command.traction_aim = (int8_t)message.driver_traction_aim_switch;
     self->command.traction_range = (int8_t)message.driver_traction_range_switch;

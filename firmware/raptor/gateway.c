@@ -28,7 +28,7 @@ static float brake_of(uint16_t counts)
 /* The three channels' messages of one family have one layout, also across the axes: see space_drive/reports.c. */
 static void take_position(raptor_gateway_channel *channel, const can_frame *frame, bool steer, uint64_t now_us)
 {
-    struct space_drive_calb_steer_pos_1_t message = {0};
+    struct space_drive_calb_steer_pos_1_t message;
 
     if (codec_receive(&channel->position_rx, frame, now_us) != CODEC_OK) {
         return;
@@ -44,7 +44,7 @@ static void take_position(raptor_gateway_channel *channel, const can_frame *fram
 
 static void take_status(raptor_gateway_channel *channel, const can_frame *frame, uint64_t now_us)
 {
-    struct space_drive_stat_steer_1_t message = {0}; /* emr_brk has the same place in the brake's status */
+    struct space_drive_stat_steer_1_t message; /* emr_brk has the same place in the brake's status */
 
     if (codec_receive(&channel->status_rx, frame, now_us) != CODEC_OK) {
         return;
@@ -55,7 +55,7 @@ static void take_status(raptor_gateway_channel *channel, const can_frame *frame,
 
 static void take_errors(raptor_gateway_channel *channel, const can_frame *frame, uint64_t now_us)
 {
-    struct space_drive_act_err_steer_1_t message = {0};
+    struct space_drive_act_err_steer_1_t message;
 
     if (codec_receive(&channel->error_rx, frame, now_us) != CODEC_OK) {
         return;

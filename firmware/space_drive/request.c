@@ -9,12 +9,12 @@ static bool take_content(space_drive_request *self, const can_frame *frame, uint
     uint16_t speed_kmh = 0;
 
     if (frame->id == SPACE_DRIVE_REQ_STEER_POS_FRAME_ID) {
-        struct space_drive_req_steer_pos_t steer = {0};
+        struct space_drive_req_steer_pos_t steer;
         (void)space_drive_req_steer_pos_unpack(&steer, frame->data, sizeof frame->data);
         counts = steer.cntrl_pos;
         speed_kmh = steer.veh_speed;
     } else {
-        struct space_drive_req_brake_pos_t brake = {0};
+        struct space_drive_req_brake_pos_t brake;
         (void)space_drive_req_brake_pos_unpack(&brake, frame->data, sizeof frame->data);
         counts = brake.contrl_pos_brk;
     }

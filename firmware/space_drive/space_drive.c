@@ -54,7 +54,7 @@ typedef struct tick_context {
 static void receive_shutdown(space_drive *self, const can_frame *frame)
 {
     const codec_message *message = NULL;
-    struct space_drive_shutdown_seq_t sequence = {0};
+    struct space_drive_shutdown_seq_t sequence;
 
     if (codec_accept(frame, &message) != CODEC_OK) {
         return;

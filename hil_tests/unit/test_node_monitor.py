@@ -104,7 +104,7 @@ def test_frames_that_are_not_to_be_used_are_counted() -> None:
     bad = [good._replace(dlc=7), good._replace(flags=int(Flag.REMOTE)), good._replace(flags=int(Flag.ERROR))]
     for frame in bad:
         nodes.push_frame(frame.pack())
-    nodes.push(node=2)
+    nodes.push(node=lib.NODE_WALL + 1)
     nodes.push(node=255)
     assert nodes.c.rejected == 5
     assert nodes.check()["failed"]
