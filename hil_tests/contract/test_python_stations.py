@@ -184,8 +184,8 @@ def test_both_speak_in_every_slot_and_stop_when_asked(tmp_path: Path, hub: Hub, 
             listen()
             return [status.decode(frame.data)[:2] for frame in heard[Bus.CAN_A] if frame.id == status.frame_id]
 
-        until(lambda: said()[-2:] == goodbye, "last words of autonomy")  # the hub has still to pass them on
-        assert NodeStatus.INACTIVE not in {code for _, code in said()[:-2]}
+        until(lambda: said()[-len(goodbye) :] == goodbye, "last words of autonomy")  # the hub has still to pass them on
+        assert NodeStatus.INACTIVE not in {code for _, code in said()[: -len(goodbye)]}
     assert (report["finished"], report["reason"], report["verdict"]) == (False, "stopped", "PENDING")
     # One sample and one row of truth per slot, also of those that it was late for.
     samples = [frame for frame in heard[Bus.CAN_S] if frame.id == database.message("imu_rates").frame_id]

@@ -25,8 +25,6 @@ _TWO_FRAMES_MS = 20
 _RISE_PA = 5.0e5
 #: A car that has just stopped rocks on its tyres no faster, m/s.
 _ROCKING_SPEED = 0.3
-#: A full brake locks the wheels, and from here a car with locked wheels slides beyond the edge: see docs/safety.md.
-_SLIDES_FROM = "turn"
 #: Longest time to standstill from anywhere, and to what the injection befalls first.
 _STOP_US, _ONSET_US = 20_000_000, 1_500_000
 #: How long the operator's request stays withdrawn in a reset; then how long there is to answer it.
@@ -184,9 +182,8 @@ class _Run:
     def judge_safety(self) -> None:
         """The safety properties have held but for those that the injection itself breaks."""
         self.bench.finish()
-        slides = self.reacts and self.brakes_fully and self.cell.state == _SLIDES_FROM
         excused = {*self.provocation.excused}
-        if slides or self.cell.state in self.provocation.leaves_track:
+        if self.cell.state in self.provocation.leaves_track:
             excused.add("SAFE-15")
         for violation in self.bench.safety.violations:
             if violation.property_id not in excused:
@@ -284,8 +281,8 @@ class SsmRun(_Run):
 
     def judge_degradation(self, after_us: int, latest_us: int) -> None:
         """Limits and controller are those of a degraded car, and the throttle is shut above the limit."""
-        share = getattr(self.fault, "speed_percent", 100) / 100.0
-        limit = float(self.operation["degraded_max_speed"]) * share  # type: ignore[arg-type]
+        speed_percent, _ = self.fault.share
+        limit = float(self.operation["degraded_max_speed"]) * speed_percent / 100.0  # type: ignore[arg-type]
         seen_us = self.first_after(after_us, "ssm_status", "ssm_max_speed", lambda values: values <= limit + 0.05)
         self.judge_window("degraded_max_speed on CAN-A", seen_us, after_us, latest_us)
         if self.fault.disables != "none":
