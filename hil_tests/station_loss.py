@@ -56,7 +56,7 @@ LOSSES = (
     ),
     Loss(
         "autonomy",
-        (("ssm_status", "ssm_worst_fault", FAULTS["estimate_lost"]), SSM_BRAKES),
+        (("ssm_status", "ssm_worst_fault", FAULTS["estimation_failed"]), SSM_BRAKES),
         ("obc", "raptor"),
     ),
     Loss("plant", (SSM_BRAKES,), ("obc", "raptor"), stops=False),  # the car is in it
