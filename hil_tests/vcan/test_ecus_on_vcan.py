@@ -68,7 +68,7 @@ def test_raptor_and_space_drive_meet(interface: Interface, node: Node, tmp_path:
         end = monotonic() + LIMIT_S
         while not values(node, "stat_brk_1")["ip_sgnl_vald"]:
             assert monotonic() < end
-        assert values(node, "req_brake_pos")["contrl_pos_brk"] == 0
+        assert values(node, "req_brake_pos")["contrl_pos_brk"] == 4096  # 4500 of 6000 kPa
         assert (one.stop(), other.stop()) == (0, 0)
         for ecu in (one, other):
             counts = ecu.counts("CAN3")
