@@ -148,6 +148,7 @@ class PlantStation:
             "offences": [[offence.key, offence.status, offence.value] for offence in operator.offences],
             "caught_up_slots": self.caught_up,
             "lost_ms": self.lost_us // 1000,
+            "scans_lost": 0 if self._clouds is None else self._clouds.lost,
         }
 
     def _sort(self, received: bytes) -> bytes:

@@ -15,6 +15,7 @@ import pytest
 
 from bridge._native import lib
 from bridge.bench import Bench
+from bridge.safety.track import TrackEdges
 from bridge.scenario import Condition, Scenario, load_scenario
 from bridge.surroundings import TICK_US
 from dbc.codec import database
@@ -167,6 +168,8 @@ def test_ssm_stops_the_car_when_autonomy_dies(scenario: Scenario) -> None:
         assert ticks <= 30, f"{ticks * 10} ms until the SSM reacted"
         assert stop_distance(bench) < 40.0**2 / (2 * 3.0)
         assert bench.wiring.raptor_out.throttle_demand == 0.0
+        edges = TrackEdges(*bench.surroundings.road.boundaries())
+        assert edges.beyond(np.array([bench.truth.x]), np.array([bench.truth.y]))[0] < 1.3  # known, docs/safety.md
 
 
 def test_launch_moves_only_after_every_state_allowed_it(scenario: Scenario) -> None:

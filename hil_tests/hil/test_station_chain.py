@@ -138,6 +138,7 @@ def test_frames_that_take_no_time_drive_the_car_alike(scenario: Scenario, refere
         "offences": [],
         "caught_up_slots": 0,
         "lost_ms": 0,
+        "scans_lost": 0,
     }
 
 
