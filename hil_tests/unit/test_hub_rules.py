@@ -63,6 +63,15 @@ def test_stamps_never_go_back():
     assert [carry(state, 0, stamp, [frame])[0].time_us for stamp in stamps] == [5, 9, 9, 9, 10, 10]
 
 
+def test_stamps_on_the_wall_clock_move_when_it_was_set_and_not_by_the_noise_of_a_look():
+    offset = 1_700_000_000_000_000
+    for noise in (-999, -1, 0, 1, 999):
+        assert lib.hub_wall_offset_us(offset, offset + noise) == offset
+    for step in (-3_600_000_000, -1000, 1000, 3_600_000_000):
+        assert lib.hub_wall_offset_us(offset, offset + step) == offset + step
+    assert lib.hub_wall_offset_us(0, offset) == offset  # the first look
+
+
 def test_filters_let_through_what_they_name():
     print(f"seed {SEED}")
     generator = random.Random(SEED)

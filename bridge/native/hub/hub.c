@@ -5,6 +5,7 @@
 enum {
     KNOWN_FLAGS = CAN_FLAG_EXTENDED | CAN_FLAG_REMOTE | CAN_FLAG_ERROR,
     NS_PER_US = 1000,
+    LOOKS_DIFFER_US = 1000, /* at most, even if the machine interrupts them */
 };
 
 static bool can_exist(const can_frame *frame)
@@ -35,6 +36,12 @@ uint32_t hub_carry(hub_bus *self, uint8_t bus, uint64_t stamp_ns, const can_fram
     }
     self->frames += carried;
     return carried;
+}
+
+int64_t hub_wall_offset_us(int64_t used_us, int64_t seen_us)
+{
+    const int64_t step_us = seen_us - used_us;
+    return step_us >= LOOKS_DIFFER_US || step_us <= -LOOKS_DIFFER_US ? seen_us : used_us;
 }
 
 static bool is_wanted(const can_link_filter *filters, uint32_t filter_count, const can_frame *frame)

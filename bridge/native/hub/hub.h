@@ -22,6 +22,11 @@ typedef struct hub_bus {
 uint32_t hub_carry(hub_bus *self, uint8_t bus, uint64_t stamp_ns, const can_frame *frames, uint32_t count,
                    can_frame *on_bus);
 
+/* CLOCK_REALTIME - CLOCK_MONOTONIC for the stamps of a bus, us: the one used so far, unless one that was seen later
+ * shows that the wall clock was set. Two looks at the same clocks differ by a few us, which would turn stamps around.
+ */
+int64_t hub_wall_offset_us(int64_t used_us, int64_t seen_us);
+
 /* Choose what a receiver wants to hear.
  *
  * filters, filter_count: as in can_link_open. Error frames are always wanted, remote frames by who wants all.

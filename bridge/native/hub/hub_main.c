@@ -36,6 +36,7 @@ typedef struct hub {
     bool stopping;
     clock_look look;           /* at this wake-up */
     int64_t earlier_offset_ns; /* of the look before it */
+    int64_t wall_offset_us;    /* for stamps on the wall clock */
     hub_bus buses[CAN_BUS_COUNT];
     local_server local;
     socketcand_server socketcand;
@@ -115,8 +116,7 @@ static uint32_t forward(hub *self, uint8_t bus, uint64_t stamp_ns, const can_fra
     const uint32_t carried = hub_carry(&self->buses[bus], bus, stamp_ns, frames, count, on_bus);
     if (carried > 0) {
         local_server_deliver(&self->local, bus, local_sender, on_bus, carried);
-        socketcand_server_deliver(&self->socketcand, bus, socketcand_sender, on_bus, carried,
-                                  self->look.offset_ns / NS_PER_US);
+        socketcand_server_deliver(&self->socketcand, bus, socketcand_sender, on_bus, carried, self->wall_offset_us);
     }
     return count - carried;
 }
@@ -181,6 +181,7 @@ static void run(hub *self)
         const int count = epoll_wait(self->epoll, events, EVENTS_MAX, timeout_ms);
         self->earlier_offset_ns = self->look.offset_ns;
         self->look = look_at_clocks();
+        self->wall_offset_us = hub_wall_offset_us(self->wall_offset_us, self->look.offset_ns / NS_PER_US);
         for (int i = 0; i < count; i++) {
             serve(self, events[i].data.u64);
         }
