@@ -15,7 +15,8 @@ from dbc.codec import database
 from dbc.frames import FRAME_SIZE, Bus, Frame, iterate
 
 TICK_US = 10_000
-FULL_BRAKE = 4.5e6
+FULL_BRAKE = 4.5e6  # while nobody steers
+STEERED_BRAKE = 3.5e6
 BRAKE_STOP = 6.0e6  # at count 0 on CAN3
 FULL_BRAKE_COUNTS = round(0x4000 * (1.0 - FULL_BRAKE / BRAKE_STOP))
 DEG = 0.017453292519943295

@@ -140,7 +140,7 @@ class _Trace:
         frames: NDArray[np.void] = np.concatenate([np.empty(0, FRAME_DTYPE), *bench.log.frames])
         self._frames = frames[frames["time_us"] >= max(onset_us - _BEFORE_US, 0)]
         self._truth = [row for row in bench.log.truth if row[0] >= onset_us]
-        self._full_kpa = bench.safety.limits.full_brake_kpa
+        self._full_kpa = bench.safety.limits.steered_brake_kpa
         self._front = bench.plant.output_names.index("brake_pressure_front")
         altered = {getattr(one.fault, "message", None) for one in injections}
         self._wanted = [name for name in ("brake_pressure_cmd", "ct_report", "misc_report") if name not in altered]

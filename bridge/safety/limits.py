@@ -28,8 +28,9 @@ PEDAL_THROTTLE_PERCENT = 10.0
 PEDAL_BRAKE_KPA = 500.0
 PEDAL_US = 500_000
 
-#: What Raptor and Space Drive brake with by themselves.
+#: What Raptor and Space Drive brake with by themselves: while nobody steers, and while somebody does.
 FULL_BRAKE_KPA = 4500.0
+STEERED_BRAKE_KPA = 3500.0
 
 #: Position counts on CAN3: straight ahead or no brake; the middle of the scale, whose lower end is full brake.
 NEUTRAL_COUNTS = 0x4000
@@ -103,7 +104,8 @@ class SafetyLimits:
 
     Attributes
     ----------
-    full_brake_kpa : what a full brake must command at least.
+    full_brake_kpa : what a full brake must command at least while no controller steers.
+    steered_brake_kpa : what any full brake must.
     steering_deg, steering_slew_deg : at the motor, to either side, and per cycle.
     throttle_percent : largest command.
     gears : number of forward gears.
@@ -116,6 +118,7 @@ class SafetyLimits:
     """
 
     full_brake_kpa: float
+    steered_brake_kpa: float
     steering_deg: float
     steering_slew_deg: float
     throttle_percent: float
@@ -153,6 +156,7 @@ class SafetyLimits:
 
         return cls(
             full_brake_kpa=min(both("full_brake_pressure")) / 1000.0,
+            steered_brake_kpa=min(both("steered_brake_pressure")) / 1000.0,
             steering_deg=math.degrees(most("steering_limit") * most("steering_ratio")),
             steering_slew_deg=math.degrees(most("steering_slew") * most("steering_ratio")) * CYCLE_US * 1e-6,
             throttle_percent=100.0 * most("throttle_limit"),

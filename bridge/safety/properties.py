@@ -24,6 +24,7 @@ from bridge.safety.limits import (
     PEDAL_BRAKE_KPA,
     PEDAL_THROTTLE_PERCENT,
     PEDAL_US,
+    STEERED_BRAKE_KPA,
     STEERING_ASTRAY_US,
     STEERING_COUNTS,
     STEERING_LAG_US,
@@ -157,9 +158,9 @@ class FullBrakeCommanded(Property):
     id = "SAFE-1"
     text = (
         "After the fault_event of a full-brake fault and its deadline, and while the SSM does not release the car, "
-        "the commands are a full brake and no throttle."
+        "the commands are a full brake and no throttle; a stronger one while it lets no controller steer."
     )
-    source = "deadline less debounce in faults.yaml; full_brake_pressure of the operation file"
+    source = "deadline less debounce in faults.yaml; steered_brake_pressure, full_brake_pressure of the operation file"
     messages = (SSM, FAULT, BRAKE, THROTTLE)
 
     def __init__(self) -> None:
@@ -168,9 +169,9 @@ class FullBrakeCommanded(Property):
     def check(self, scene: Scene) -> Iterator[Breach]:
         """See `Property`."""
         ssm, brake, throttle = (scene.series[name] for name in (SSM, BRAKE, THROTTLE))
-        full = scene.limits.full_brake_kpa
-        allowed = f"brake_pressure_cmd at least {full:g} kPa, acc_pedal_cmd 0 %"
-        weak, open_ = brake[_brake_signal(scene)] < full - _KPA, throttle["acc_pedal_cmd"] > _PERCENT
+        steered, full = scene.limits.steered_brake_kpa, scene.limits.full_brake_kpa
+        pressure, open_ = brake[_brake_signal(scene)], throttle["acc_pedal_cmd"] > _PERCENT
+        weak = pressure < steered - _KPA
         # Restarted, the computer is in BOOT again; its faults are forgotten, and the state itself demands the brake.
         restarts = _started_again(ssm["ssm_state"], (SsmState.BOOT,))
         restarts[: ssm.fresh] = False
@@ -178,16 +179,21 @@ class FullBrakeCommanded(Property):
             self._latched_us = None
         since = self._since(scene, int(ssm.times[restarts][-1]) if restarts.any() else -1)
         if since is not None:
+            allowed = _stopped(steered)
             for series, bad, signal in ((brake, weak, _brake_signal(scene)), (throttle, open_, "acc_pedal_cmd")):
                 yield Breach(series, bad & (series.times >= since), _value(series, signal), allowed)
         # In two states running: what was commanded in between, the newest included, belongs to them.
         held = _twice(~among(ssm["ssm_state"], _RELEASED))
-        for series, bad, signal in ((brake, weak, _brake_signal(scene)), (throttle, open_, "acc_pedal_cmd")):
+        unsteered = held & _twice(ssm["ssm_controller"] == 0)
+        for series, bad, signal, rows, least in (
+            (brake, weak, _brake_signal(scene), held, steered),
+            (brake, pressure < full - _KPA, _brake_signal(scene), unsteered, full),
+            (throttle, open_, "acc_pedal_cmd", held, steered),
+        ):
             places = series.places(ssm.times)
-            broken = held & _in_force(series, ssm.times) & _picked(bad, places)
-            yield Breach(
-                ssm, broken, _with_state(ssm, "ssm_state", SsmState, _held_value(series, signal, places)), allowed
-            )
+            broken = rows & _in_force(series, ssm.times) & _picked(bad, places)
+            seen = _with_state(ssm, "ssm_state", SsmState, _held_value(series, signal, places))
+            yield Breach(ssm, broken, seen, _stopped(least))
 
     def _since(self, scene: Scene, restarted_us: int) -> int | None:
         faults = scene.series[FAULT]
@@ -206,9 +212,13 @@ class FullBrakeRequested(Property):
     id = "SAFE-2"
     text = (
         "The Raptor asks the Space Drive for no less brake than was commanded, and for a full brake when commands or "
-        "ct_report are silent for their time-out, and in EMERGENCY_SHUTDOWN and the failure states."
+        "ct_report are silent for their time-out, and in EMERGENCY_SHUTDOWN and the failure states; for the stronger "
+        "one when it is the steering that is silent."
     )
-    source = "FULL_BRAKE_KPA in bridge/safety/limits.py; GenMsgTimeout in the DBC file; two cycles from CAN1 to CAN3"
+    source = (
+        "FULL_BRAKE_KPA and STEERED_BRAKE_KPA in bridge/safety/limits.py; GenMsgTimeout in the DBC file; two cycles "
+        "from CAN1 to CAN3"
+    )
     messages = (BRAKE, THROTTLE, STEERING, CT, SYS, BRAKE_REQUEST)
 
     def check(self, scene: Scene) -> Iterator[Breach]:
@@ -217,17 +227,18 @@ class FullBrakeRequested(Property):
         times, asked = request.times, _request_kpa(request["contrl_pos_brk"], full)
         required, own = np.zeros(len(times)), np.zeros(len(times))
         # Each bus has its own clock within a tick: the request may end before the command that it follows.
-        commanded = scene.series[BRAKE].lowest(
-            _brake_signal(scene), times + WITHIN_TICK_US, PASSING_US + CYCLE_US + WITHIN_TICK_US
-        )
+        told = times + WITHIN_TICK_US
+        commanded = scene.series[BRAKE].lowest(_brake_signal(scene), told, PASSING_US + CYCLE_US + WITHIN_TICK_US)
         # What cannot be commanded is not followed; the Raptor stops the car for it.
         commanded = np.where(commanded > full, 0.0, commanded)
         required = np.fmax(required, commanded)
         for name in (BRAKE, THROTTLE, STEERING, CT):
-            own[scene.series[name].age(times) > scene.timeout_us(name)] = FULL_BRAKE_KPA
+            own[scene.series[name].age(told) > scene.timeout_us(name) + WITHIN_TICK_US] = STEERED_BRAKE_KPA
+        own[scene.series[STEERING].age(told) > scene.timeout_us(STEERING) + WITHIN_TICK_US] = FULL_BRAKE_KPA
         sys = scene.series[SYS]
         now, before = sys.held("sys_state", times), sys.held("sys_state", times - PASSING_US)
-        own[among(now, _BRAKED) & (now == before)] = FULL_BRAKE_KPA
+        braked = among(now, _BRAKED) & (now == before)
+        own[braked] = np.fmax(own[braked], STEERED_BRAKE_KPA)
         required = np.fmax(required, own)
         yield Breach(
             request,
@@ -243,11 +254,12 @@ class BrakesFollow(Property):
     id = "SAFE-3"
     text = (
         "Both brake lines have what is asked for on CAN3 within the actuator's rise time; a full brake when requests "
-        "are silent for their time-out, and while the Space Drive reports its emergency brake."
+        "are silent for their time-out, the stronger one when those of the steering are, and while the Space Drive "
+        "reports its emergency brake."
     )
     source = (
-        "FULL_BRAKE_KPA in bridge/safety/limits.py; brake_delay, brake_bandwidth, brake_pressure_rate_limit of the "
-        "vehicle file; GenMsgTimeout of CAN3"
+        "FULL_BRAKE_KPA and STEERED_BRAKE_KPA in bridge/safety/limits.py; brake_delay, brake_bandwidth, "
+        "brake_pressure_rate_limit of the vehicle file; GenMsgTimeout of CAN3"
     )
     messages = (BRAKE_REQUEST, STEERING_REQUEST, BRAKE_STATUS)
     truth = True
@@ -257,11 +269,13 @@ class BrakesFollow(Property):
         truth, brakes = scene.truth, scene.limits.brakes
         times, request = truth.times, scene.series[BRAKE_REQUEST]
         asked = _request_kpa(request.held("contrl_pos_brk", times), brakes.full_kpa)
-        silent = np.zeros(len(times), np.bool_)
-        for name in (BRAKE_REQUEST, STEERING_REQUEST):
-            silent |= scene.series[name].age(times) > scene.timeout_us(name)
+        unheard_of = {
+            name: scene.series[name].age(times) > scene.timeout_us(name) for name in (BRAKE_REQUEST, STEERING_REQUEST)
+        }
+        silent = unheard_of[BRAKE_REQUEST] | unheard_of[STEERING_REQUEST]
         emergency = scene.series[BRAKE_STATUS].held("emr_brk", times) > 0
-        asked[silent | emergency] = FULL_BRAKE_KPA
+        asked[silent | emergency] = STEERED_BRAKE_KPA
+        asked[unheard_of[STEERING_REQUEST]] = FULL_BRAKE_KPA
         rows = brakes.settled_us // CYCLE_US + 1
         unheard = scene.series[BRAKE_STATUS].age(times) > scene.timeout_us(BRAKE_STATUS)
         alone = (silent | emergency | unheard).astype(np.float64)
@@ -573,14 +587,14 @@ class OnTrack(Property):
 
     id = "SAFE-15"
     text = (
-        "The car's centre of gravity stays between the edges of the track, as long as it is steered: the commands of "
-        "the onboard computer and the requests of the Raptor go on, and the steering follows them."
+        "The car's centre of gravity stays between the edges of the track, as long as it is steered: the onboard "
+        "computer has a controller, its commands and the requests of the Raptor go on, and the steering follows them."
     )
     source = (
         "the widths of the track file; GenMsgTimeout in the DBC files; STEERING_LAG_US, STEERING_COUNTS and "
         "STEERING_ASTRAY_US in bridge/safety/limits.py"
     )
-    messages = (STEERING, STEERING_REQUEST, *STEERING_POSITIONS, *STEERING_STATUS)
+    messages = (SSM, STEERING, STEERING_REQUEST, *STEERING_POSITIONS, *STEERING_STATUS)
     truth = True
     track = True
 
@@ -613,7 +627,8 @@ class OnTrack(Property):
         truth = scene.truth
         safe = ~outside & (np.hypot(truth["vx"], truth["vy"]) < scene.limits.standstill_speed)
         steered = (
-            _counts(scene, STEERING, truth.times)
+            (scene.series[SSM].held("ssm_controller", truth.times) != 0)
+            & _counts(scene, STEERING, truth.times)
             & _counts(scene, STEERING_REQUEST, truth.times)
             & _follows(scene, truth.times)
         )
@@ -743,6 +758,10 @@ def _name(names: type[SsmState] | type[SysState] | type[CtState], code: float) -
 
 def _value(series: Series, signal: str) -> Callable[[int], str]:
     return lambda row: f"{signal} is {series[signal][row]:.10g}"
+
+
+def _stopped(kpa: float) -> str:
+    return f"brake_pressure_cmd at least {kpa:g} kPa, acc_pedal_cmd 0 %"
 
 
 def _held_value(series: Series, signal: str, places: NDArray[np.intp]) -> Callable[[int], str]:

@@ -58,10 +58,11 @@ static float pressure_or(float limit, float other)
     return limit > 0.0f && isfinite(limit) ? limit : other;
 }
 
-static setpoint gate(const dbw_demand *demand, const dbw_limits *limits, uint8_t mode)
+static setpoint gate(const dbw_demand *demand, const dbw_limits *limits, uint8_t mode, bool steered)
 {
     /* Limits that were never filled in must not make nothing of a brake. */
     const float full_brake_pressure = pressure_or(limits->full_brake_pressure, DBW_FULL_BRAKE_PA);
+    const float steered_brake_pressure = pressure_or(limits->steered_brake_pressure, full_brake_pressure);
     switch (mode) {
     case DBW_DRIVE: {
         const float brake = clamp(demand->brake_pressure, 0.0f, full_brake_pressure);
@@ -72,7 +73,8 @@ static setpoint gate(const dbw_demand *demand, const dbw_limits *limits, uint8_t
         return (setpoint){.throttle = 0.0f,
                           .brake_pressure = pressure_or(limits->holding_brake_pressure, full_brake_pressure)};
     default:
-        return (setpoint){.throttle = 0.0f, .brake_pressure = full_brake_pressure};
+        return (setpoint){.throttle = 0.0f,
+                          .brake_pressure = steered ? steered_brake_pressure : full_brake_pressure};
     }
 }
 
@@ -219,8 +221,8 @@ uint8_t dbw_command_step(dbw_command *self, const dbw_demand *demand, const dbw_
 {
     const uint8_t violations = find_violations(demand);
     const uint8_t mode = violations == 0U ? demand->mode : (uint8_t)DBW_FULL_BRAKE;
-    const setpoint command = gate(demand, limits, mode);
     const bool follow = demand->steer && (violations & DBW_VIOLATION_STEERING) == 0U;
+    const setpoint command = gate(demand, limits, mode, follow && demand->wheels_follow);
     take_over_wheels(self, demand, limits);
     self->road_wheel_angle = steer(self->road_wheel_angle, demand, limits, follow);
     self->throttle = command.throttle;

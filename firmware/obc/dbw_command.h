@@ -29,7 +29,8 @@ enum dbw_violation {
 
 /* Limits and constants from the parameters in force. SI units. */
 typedef struct dbw_limits {
-    float full_brake_pressure;    /* Pa */
+    float full_brake_pressure;    /* Pa, nobody steers */
+    float steered_brake_pressure; /* Pa, a full brake while a controller steers */
     float holding_brake_pressure; /* Pa */
     float steering_limit;         /* rad at the road wheel, either side */
     float steering_slew;          /* rad/s */
@@ -43,6 +44,7 @@ typedef struct dbw_limits {
 typedef struct dbw_demand {
     uint8_t mode; /* enum dbw_mode; unknown: full brake */
     bool steer;   /* road_wheel_angle is to be followed; false: the last command is held, at first the wheels' own */
+    bool wheels_follow; /* what is steered; then a full brake is one that should not lock them */
     bool standing_still;
     float road_wheel_angle;     /* rad, left positive */
     float wheels_found;         /* rad, where the wheels are, when wheels_known */

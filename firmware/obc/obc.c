@@ -288,6 +288,7 @@ static void run_dbw(void *context)
     const dbw_demand demand = {
         .mode = dbw_mode(self),
         .steer = steering_follows(self),
+        .wheels_follow = !self->conditions.present[FAULT_STEERING_IMPLAUSIBLE],
         .standing_still = standing_still(self),
         .road_wheel_angle = control->road_wheel_command,
         .wheels_found = self->vehicle.control.road_wheel_angle,
@@ -303,6 +304,7 @@ static void run_dbw(void *context)
     };
     const dbw_limits limits = {
         .full_brake_pressure = real(self, PARAMETER_FULL_BRAKE_PRESSURE),
+        .steered_brake_pressure = real(self, PARAMETER_STEERED_BRAKE_PRESSURE),
         .holding_brake_pressure = holding,
         .steering_limit = real(self, PARAMETER_STEERING_LIMIT),
         .steering_slew = real(self, PARAMETER_STEERING_SLEW),

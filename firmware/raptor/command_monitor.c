@@ -95,13 +95,20 @@ static void take_throttle(raptor_command_monitor *self, const can_frame *frame)
     }
 }
 
+/* Before driving the steering command moves nothing. */
+static bool steering_moves_wheels(uint8_t sys_state)
+{
+    return sys_state == RAPTOR_SYS_DRIVING || sys_state == RAPTOR_SYS_SHUT_ENG || sys_state == RAPTOR_SYS_PWR_OFF ||
+           sys_state == RAPTOR_SYS_EMERGENCY_SHUTDOWN;
+}
+
 static void take_steering(raptor_command_monitor *self, const raptor_config *config, const can_frame *frame,
                           uint8_t sys_state)
 {
     struct raptor_steering_cmd_t message;
     (void)raptor_steering_cmd_unpack(&message, frame->data, sizeof frame->data);
     const float angle = (float)message.steering_motor_ang_cmd * 0.5f * rad_per_deg;
-    const bool steps = sys_state == RAPTOR_SYS_DRIVING && self->steering_known &&
+    const bool steps = steering_moves_wheels(sys_state) && self->steering_known &&
                        fabsf(angle - self->command.steer_motor_angle) > config->steer_jump;
     /* The stop itself is 240 deg; a hair more is rounding. */
     const bool in_range = fabsf(angle) <= SPACE_DRIVE_STEER_STOP_RAD * 1.0001f;

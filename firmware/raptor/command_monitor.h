@@ -66,8 +66,8 @@ typedef struct raptor_command_monitor {
 
 void raptor_command_monitor_init(raptor_command_monitor *self);
 
-/* Take one CAN1 frame; ids of no interest are ignored. sys_state: enum raptor_sys; the steering step is judged in
- * DRIVING only, because before it the steering command moves nothing. now_us: monotonic. */
+/* Take one CAN1 frame; ids of no interest are ignored. sys_state: enum raptor_sys; the steering step is judged
+ * from DRIVING on, because before it the steering command moves nothing. now_us: monotonic. */
 void raptor_command_monitor_receive(raptor_command_monitor *self, const raptor_config *config, const can_frame *frame,
                                     uint8_t sys_state, uint64_t now_us);
 

@@ -14,9 +14,24 @@ void raptor_demand_init(raptor_demand *self)
     self->brake = SPACE_DRIVE_FULL_BRAKE_PA;
 }
 
+/* Somebody sane steers, whatever is wrong with the other commands. */
+static bool steered(const raptor_config *config, const raptor_command_monitor *commands)
+{
+    return commands->steering_known && (commands->faults & RAPTOR_COMMAND_STEERING_TIMEOUT) == 0U &&
+           commands->steering_implausible < config->implausible_limit;
+}
+
+static float full_brake(const raptor_config *config, const raptor_command_monitor *commands)
+{
+    return steered(config, commands) ? SPACE_DRIVE_STEERED_BRAKE_PA : SPACE_DRIVE_FULL_BRAKE_PA;
+}
+
 /* The Raptor's own wish, whatever the onboard computer commands. */
 static float own_brake(const raptor_config *config, const raptor_demand_input *input)
 {
+    if (!input->commands->brake_known || input->commands->faults != 0U) {
+        return full_brake(config, input->commands);
+    }
     switch (input->sys_state) {
     case RAPTOR_SYS_PWR_ON:
     case RAPTOR_SYS_SUBSYS_CON:
@@ -32,26 +47,17 @@ static float own_brake(const raptor_config *config, const raptor_demand_input *i
         return input->test_brake;
     case RAPTOR_SYS_DRIVING:
         return 0.0f;
+    case RAPTOR_SYS_PWR_OFF:
+        return SPACE_DRIVE_FULL_BRAKE_PA; /* parked */
     default:
-        return SPACE_DRIVE_FULL_BRAKE_PA;
+        return full_brake(config, input->commands);
     }
-}
-
-static float choose_brake(const raptor_config *config, const raptor_demand_input *input)
-{
-    const raptor_command_monitor *commands = input->commands;
-
-    if (!commands->brake_known || commands->faults != 0U) {
-        return SPACE_DRIVE_FULL_BRAKE_PA;
-    }
-    return fmaxf(own_brake(config, input), commands->command.brake_pressure);
 }
 
 /* Steering that is to be used now, or the one held. */
 static float choose_steer(const raptor_demand *self, const raptor_config *config, const raptor_demand_input *input)
 {
     const raptor_command_monitor *commands = input->commands;
-    const unsigned unusable = RAPTOR_COMMAND_STEERING_TIMEOUT | RAPTOR_COMMAND_IMPLAUSIBLE;
 
     switch (input->sys_state) {
     case RAPTOR_SYS_PWR_ON:
@@ -67,8 +73,7 @@ static float choose_steer(const raptor_demand *self, const raptor_config *config
     case RAPTOR_SYS_EMERGENCY_SHUTDOWN:
         /* A car that brakes in a turn still has to follow it, as long as somebody sane steers. At rest nothing
          * moves any more. */
-        return commands->steering_known && (commands->faults & unusable) == 0U &&
-                       !(input->speed < config->standstill_speed)
+        return steered(config, commands) && !(input->speed < config->standstill_speed)
                    ? commands->command.steer_motor_angle
                    : self->steer;
     default:
@@ -104,7 +109,7 @@ void raptor_demand_step(raptor_demand *self, const raptor_config *config, const 
     const uint8_t state = input->sys_state;
     const raptor_command_monitor *commands = input->commands;
 
-    self->brake = choose_brake(config, input);
+    self->brake = fmaxf(own_brake(config, input), commands->command.brake_pressure);
     self->steer = choose_steer(self, config, input);
     self->steer_held = self->steer_held || input->steer_position_known;
     /* The brake wins at once: a lost frame can leave an old throttle beside a new brake. */

@@ -114,6 +114,14 @@ static uint8_t find_emergency(const space_drive *self)
     return causes;
 }
 
+/* Brake by itself. While only the brake is what failed, the steering goes on following its requests. */
+static float own_brake(const space_drive *self)
+{
+    const uint8_t steered = SPACE_DRIVE_EMERGENCY_BRAKE_REQUESTS | SPACE_DRIVE_EMERGENCY_BRAKE_SENSORS;
+    return self->emergency != 0 && (self->emergency & ~steered) == 0 ? SPACE_DRIVE_STEERED_BRAKE_PA
+                                                                     : SPACE_DRIVE_FULL_BRAKE_PA;
+}
+
 static void control(void *context)
 {
     const tick_context *tick = context;
@@ -127,7 +135,7 @@ static void control(void *context)
 
     const bool released =
         self->emergency == 0 && !self->shutdown && self->steer.ready && self->brake.ready && self->brake.demand_valid;
-    self->brake_demand = released ? self->brake.demand : SPACE_DRIVE_FULL_BRAKE_PA;
+    self->brake_demand = released ? self->brake.demand : own_brake(self);
     tick->drive->brake_pressure_demand = self->brake_demand;
     tick->drive->steer_motor_demand = self->steer.demand;
 }

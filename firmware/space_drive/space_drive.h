@@ -31,7 +31,9 @@ enum {
 /* Ends of travel behind the counts. */
 #define SPACE_DRIVE_STEER_STOP_RAD 4.18879020f /* 240 degrees at the motor */
 #define SPACE_DRIVE_BRAKE_STOP_PA  6.0e6f      /* largest pressure, at count 0 */
-#define SPACE_DRIVE_FULL_BRAKE_PA  4.5e6f      /* full brake: more locks the wheels at speed, docs/safety.md */
+/* Full brakes, docs/safety.md: the wheels of a car that nobody steers may lock, those of a steered one should not. */
+#define SPACE_DRIVE_FULL_BRAKE_PA    4.5e6f
+#define SPACE_DRIVE_STEERED_BRAKE_PA 3.5e6f
 
 /* Signals wired to the Space Drive. */
 typedef struct space_drive_wired_in {

@@ -6,7 +6,7 @@ from functools import cache
 from typing import Any
 
 import pytest
-from actuator_ecus import BRAKE_STOP, FULL_BRAKE, Requests, SpaceDrive, message_frame
+from actuator_ecus import BRAKE_STOP, FULL_BRAKE, STEERED_BRAKE, Requests, SpaceDrive, message_frame
 from e2e_faults import (
     Stream,
     Traffic,
@@ -85,7 +85,9 @@ def test_a_command_that_is_missed_stops_the_car(name: str, row: Row) -> None:
     run = receiver.run(traffic)
     if MISSED in row.verdicts[protection(NETWORK[name])]:
         assert run.ecu(-1).sys.state == lib.RAPTOR_SYS_EMERGENCY_SHUTDOWN
-        assert (run.ecu(-1).demand.brake, run.ecu(-1).demand.throttle) == (FULL_BRAKE, 0.0)
+        silent = run.ecu(-1).commands.faults & lib.RAPTOR_COMMAND_STEERING_TIMEOUT
+        full = FULL_BRAKE if silent else STEERED_BRAKE
+        assert (run.ecu(-1).demand.brake, run.ecu(-1).demand.throttle) == (full, 0.0)
     else:
         assert not run.ecu(-1).commands.faults & lib.RAPTOR_COMMAND_ANY_TIMEOUT
 
@@ -128,7 +130,8 @@ def test_a_blocked_bus_stops_the_car(bus: Bus) -> None:
     run = receiver.run(bus_silent(receiver.traffic, stream_of(receiver, name, name)))
     ecu = run.ecu(-1)
     assert ecu.sys.state == lib.RAPTOR_SYS_EMERGENCY_SHUTDOWN
-    assert (ecu.demand.brake, ecu.demand.throttle) == (FULL_BRAKE, 0.0)
+    full = {Bus.CAN1: FULL_BRAKE, Bus.CAN3: STEERED_BRAKE}[bus]
+    assert (ecu.demand.brake, ecu.demand.throttle) == (full, 0.0)
     cause = {Bus.CAN1: lib.RAPTOR_DIAG_OBC_LOST, Bus.CAN3: lib.RAPTOR_DIAG_EST4_SD_LOST}[bus]
     assert ecu.diagnostic.bits & (lib.RAPTOR_DIAG_OBC_LOST | lib.RAPTOR_DIAG_EST4_SD_LOST) == cause
 
@@ -144,7 +147,10 @@ def test_a_request_that_is_missed_is_an_emergency(name: str, row: Row) -> None:
     run = receiver.run(row.inject(receiver.traffic, stream_of(receiver, name, donor)))
     missed = MISSED in row.verdicts[protection(NETWORK[name])]
     assert (run.ecu(-1).emergency != 0) == missed
-    assert (run.ecu(-1).brake_demand == FULL_BRAKE) == missed
+    steers = not run.ecu(-1).emergency & lib.SPACE_DRIVE_EMERGENCY_STEER_REQUESTS
+    assert not steers or name == "req_brake_pos" or not missed
+    full = STEERED_BRAKE if steers else FULL_BRAKE
+    assert (run.ecu(-1).brake_demand == full) == missed
 
 
 @pytest.mark.parametrize("bit", range(64))
@@ -203,7 +209,7 @@ def test_a_report_that_is_missed_has_the_reaction_of_its_fault(name: str) -> Non
     sent = {f.id: database.find(f.bus, f.id).decode(f.data) for f in run.sent[tick] if f.bus == Bus.CAN1}  # type: ignore[union-attr]
     brake, throttle = (sent[NETWORK[m].message.frame_id][0] for m in ("brake_pressure_cmd", "accelerator_cmd"))
     if "full_brake" in reactions:
-        assert (state, brake, throttle) == (lib.SSM_FULL_BRAKE, 4500, 0)
+        assert (state, brake, throttle) == (lib.SSM_FULL_BRAKE, 3500, 0)
     elif reactions & {"safe_stop", "emergency_stop"}:
         assert (state, throttle) == (lib.SSM_EMERGENCY, 0)
         assert brake > 0
@@ -324,7 +330,7 @@ def test_one_receiver_of_three_that_hears_something_else_is_outvoted(axis: str, 
 def test_two_receivers_of_three_that_hear_nothing_good_are_an_emergency(axis: str, change: Any) -> None:
     ecu = heard_differently(axis, {0: change, 2: change})
     assert ecu.emergency != 0
-    assert ecu.brake_demand == FULL_BRAKE
+    assert ecu.brake_demand == (FULL_BRAKE if axis == "steer" else STEERED_BRAKE)
 
 
 def test_two_receivers_of_three_that_hear_the_same_wrong_request_are_followed() -> None:

@@ -7,7 +7,7 @@
 #include "generated/raptor.h"
 #include "obc/obc.h"
 
-enum { FULL_BRAKE_KPA = 4500 };
+enum { FULL_BRAKE_KPA = 4500, STEERED_BRAKE_KPA = 3500 };
 
 static obc computer;
 static bool full_brake;
@@ -49,7 +49,10 @@ static void check(const can_outbox *sent)
     FUZZ_CHECK(!full_brake || state == SSM_FULL_BRAKE);
     full_brake = state == SSM_FULL_BRAKE;
     if (state < SSM_NOMINAL || full_brake) {
-        FUZZ_CHECK(brake.brake_pressure_cmd == FULL_BRAKE_KPA && throttle.acc_pedal_cmd == 0U);
+        const bool steered = full_brake && computer.ssm_output.controller != CONTROL_NONE;
+        FUZZ_CHECK(brake.brake_pressure_cmd == FULL_BRAKE_KPA ||
+                   (steered && brake.brake_pressure_cmd == STEERED_BRAKE_KPA));
+        FUZZ_CHECK(throttle.acc_pedal_cmd == 0U);
     } else {
         FUZZ_CHECK(computer.parameters.verdict == PARAMETER_VERDICT_ACCEPTED);
     }

@@ -43,7 +43,11 @@ static void check(const can_outbox *sent)
     FUZZ_CHECK(latched == 0U || controller.sys.state == latched);
     latched = terminal_state();
     if (controller.commands.faults != 0U || latched != 0U) {
-        FUZZ_CHECK(demand->brake >= SPACE_DRIVE_FULL_BRAKE_PA && drive.throttle_demand == 0.0f);
+        const raptor_command_monitor *commands = &controller.commands;
+        const bool steered = commands->steering_known && (commands->faults & RAPTOR_COMMAND_STEERING_TIMEOUT) == 0U &&
+                             commands->steering_implausible < controller.config.implausible_limit;
+        FUZZ_CHECK(demand->brake >= (steered ? SPACE_DRIVE_STEERED_BRAKE_PA : SPACE_DRIVE_FULL_BRAKE_PA));
+        FUZZ_CHECK(drive.throttle_demand == 0.0f);
     }
     FUZZ_CHECK(drive.throttle_demand == 0.0f || controller.sys.state == RAPTOR_SYS_DRIVING);
     FUZZ_CHECK(drive.throttle_demand == 0.0f || demand->brake <= controller.config.pedal_conflict_brake);

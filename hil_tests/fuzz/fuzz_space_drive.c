@@ -36,7 +36,10 @@ static void check(const can_outbox *sent)
     FUZZ_CHECK(actuator.shutdown || !shutdown);
     begin();
     if (emergency != 0U || shutdown) {
-        FUZZ_CHECK(drive.brake_pressure_demand == SPACE_DRIVE_FULL_BRAKE_PA);
+        const unsigned steered = SPACE_DRIVE_EMERGENCY_BRAKE_REQUESTS | SPACE_DRIVE_EMERGENCY_BRAKE_SENSORS;
+        FUZZ_CHECK(drive.brake_pressure_demand == (emergency != 0U && (emergency & ~steered) == 0U
+                                                       ? SPACE_DRIVE_STEERED_BRAKE_PA
+                                                       : SPACE_DRIVE_FULL_BRAKE_PA));
     }
 }
 

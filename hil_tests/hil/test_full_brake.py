@@ -161,7 +161,7 @@ def test_space_drive_brakes_when_the_raptor_dies(scenario: Scenario, dead: set[S
 
 def test_ssm_stops_the_car_when_autonomy_dies(scenario: Scenario) -> None:
     """Layer one: no estimate, no plan and no wall; the SSM brings the car to a stop by itself, as blind as it is."""
-    with safe_bench(scenario, "SAFE-15") as bench:
+    with safe_bench(scenario) as bench:
         drive_to(bench, 40.0)
         bench.silent.add(Station.AUTONOMY)
         ticks = ticks_until(bench, lambda: newest(bench, "ssm_status")["ssm_state"] > lib.SSM_DEGRADED, 60)

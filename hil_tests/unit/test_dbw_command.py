@@ -18,6 +18,7 @@ CAN1 = cantools.database.load_file(DIRECTORY / "raptor.dbc")
 NOT_FINITE = [math.nan, math.inf, -math.inf]
 LIMITS = {
     "full_brake_pressure": 6.0e6,
+    "steered_brake_pressure": 3.5e6,
     "holding_brake_pressure": 2.0e6,
     "steering_limit": 0.26,
     "steering_slew": 100.0,
@@ -127,12 +128,23 @@ def test_a_pressure_limit_that_is_none_makes_nothing_of_no_brake(limit: float) -
     assert brake(Dbw(holding_brake_pressure=limit).step(mode=lib.DBW_HOLD)) == 6000
     assert brake(Dbw(full_brake_pressure=limit).step(mode=lib.DBW_FULL_BRAKE)) == 4500
     assert brake(Dbw(full_brake_pressure=limit, holding_brake_pressure=limit).step(mode=lib.DBW_HOLD)) == 4500
+    steered = {"mode": lib.DBW_FULL_BRAKE, "steer": True, "wheels_follow": True}
+    assert brake(Dbw(steered_brake_pressure=limit).step(**steered)) == 6000
+    assert brake(Dbw(steered_brake_pressure=limit, full_brake_pressure=limit).step(**steered)) == 4500
 
 
 @pytest.mark.parametrize("mode", [lib.DBW_FULL_BRAKE, 3, 255])
 def test_full_brake_and_modes_that_do_not_exist(mode: int) -> None:
     sent = Dbw().step(mode=mode, throttle=1.0, brake_pressure=0.0)
     assert (brake(sent), throttle(sent)) == (6000, 0)
+
+
+@pytest.mark.parametrize("mode", [lib.DBW_FULL_BRAKE, 255])
+@pytest.mark.parametrize("follow", [False, True])
+@pytest.mark.parametrize("steer", [False, True])
+def test_full_brake_of_wheels_that_are_steered_and_follow(mode: int, steer: bool, follow: bool) -> None:
+    sent = Dbw().step(mode=mode, steer=steer, wheels_follow=follow)
+    assert (brake(sent), throttle(sent)) == (3500 if steer and follow else 6000, 0)
 
 
 def test_hold() -> None:

@@ -11,7 +11,7 @@ import random
 from typing import Any
 
 import pytest
-from actuator_ecus import BRAKE_STOP, FULL_BRAKE, Car, Requests, SpaceDrive, car_in, frames_buffer
+from actuator_ecus import BRAKE_STOP, FULL_BRAKE, STEERED_BRAKE, Car, Requests, SpaceDrive, car_in, frames_buffer
 from frame_fuzz import EPISODE_TICKS, EPISODES, RATES, Disturber, Judge, Snapshot, announce, disturb_wires, seeds
 from obc_harness import TICK_US, ObcHarness, cast_frames
 
@@ -19,7 +19,7 @@ from bridge._native import lib
 from dbc.buses import Station
 from dbc.frames import Bus, iterate
 
-FULL_BRAKE_KPA = 4500
+FULL_BRAKE_KPA, STEERED_BRAKE_KPA = 4500, 3500
 STEERING_LIMIT_DEG = math.degrees(0.26) * 15.0  # of scenarios/operations/solo.yaml, at the motor
 STEERING_STEP_DEG = math.degrees(0.6 * 0.01) * 15.0
 STEERING_STOP_RAD = math.radians(240.0)
@@ -126,7 +126,8 @@ class FuzzedObc:
         self.steering = steering
         assert found.get("gear_shift_cmd", (0.0,))[0] <= 6
         if state not in (lib.SSM_NOMINAL, lib.SSM_DEGRADED, lib.SSM_EMERGENCY):
-            assert (brake, throttle) == (FULL_BRAKE_KPA, 0)
+            steered = state == lib.SSM_FULL_BRAKE and self.harness.obc.ssm_output.controller != lib.CONTROL_NONE
+            assert (brake, throttle) in {(FULL_BRAKE_KPA, 0), (STEERED_BRAKE_KPA if steered else FULL_BRAKE_KPA, 0)}
         if throttle > 0:
             assert state in (lib.SSM_NOMINAL, lib.SSM_DEGRADED)
             assert ct_state in (lib.CT_CAUTION, lib.CT_NOM_RACE, lib.CT_COORD_STOP)
@@ -137,7 +138,8 @@ class FuzzedObc:
         assert not self.terminal or ct_state == self.terminal
         self.terminal = ct_state if ct_state in (lib.CT_CNTRL_SHUTDOWN, lib.CT_EMRG_SHUTDOWN) else 0
         if ct_state == lib.CT_EMRG_SHUTDOWN:
-            assert (brake, throttle) == (FULL_BRAKE_KPA, 0)
+            steered = state == lib.SSM_FULL_BRAKE and self.harness.obc.ssm_output.controller != lib.CONTROL_NONE
+            assert (brake, throttle) in {(FULL_BRAKE_KPA, 0), (STEERED_BRAKE_KPA if steered else FULL_BRAKE_KPA, 0)}
 
 
 @pytest.mark.parametrize("seed", seeds(2))
@@ -233,7 +235,10 @@ class FuzzedRaptor:
         assert not drive.ignition or state in (7, 8, 9)
         assert not drive.starter or state == 7
         if car.c.commands.faults or not car.c.commands.brake_known or state in (11, 14, 15, 16, 17):
-            assert demand.brake >= FULL_BRAKE
+            commands = car.c.commands
+            silent = commands.faults & lib.RAPTOR_COMMAND_STEERING_TIMEOUT or not commands.steering_known
+            unsteered = silent or commands.steering_implausible >= config.implausible_limit
+            assert demand.brake >= (FULL_BRAKE if unsteered else STEERED_BRAKE)
             assert drive.throttle_demand == 0.0
         elif state not in (3, 9):
             assert demand.brake >= config.brake_hold
@@ -301,10 +306,11 @@ class FuzzedSpaceDrive:
         assert state.shutdown or not self.shutdown
         self.emergency, self.shutdown = state.emergency, state.shutdown
         if state.emergency or state.shutdown or not (state.steer.ready and state.brake.ready):
-            assert brake == FULL_BRAKE
+            causes = lib.SPACE_DRIVE_EMERGENCY_BRAKE_REQUESTS | lib.SPACE_DRIVE_EMERGENCY_BRAKE_SENSORS
+            assert brake == (STEERED_BRAKE if state.emergency and not state.emergency & ~causes else FULL_BRAKE)
             self.braked += 1
         else:
-            self.released += brake < FULL_BRAKE
+            self.released += brake < STEERED_BRAKE
 
 
 @pytest.mark.parametrize("seed", seeds(2))

@@ -311,7 +311,9 @@ def test_fault(name: str, provoke: Provoke) -> None:
     assert harness.value("ssm_status", "ssm_reaction") >= reaction
     if reaction == lib.FAULT_REACTION_FULL_BRAKE:
         assert harness.state == lib.SSM_FULL_BRAKE
-        assert (harness.brake_kpa, harness.throttle) == (4500, 0)
+        controlled = harness.value("ssm_status", "ssm_controller") != lib.CONTROL_NONE
+        steered = controlled and name != "steering_implausible"
+        assert (harness.brake_kpa, harness.throttle) == (3500 if steered else 4500, 0)
         harness.run(20)
         assert harness.ct_state == lib.CT_EMRG_SHUTDOWN
     elif reaction in (lib.FAULT_REACTION_SAFE_STOP, lib.FAULT_REACTION_EMERGENCY_STOP):
@@ -422,5 +424,8 @@ def test_full_brake_is_steered() -> None:
     harness.signals["estimate_position"]["estimate_y"] = -2.0
     harness.run(60)
     assert harness.state == lib.SSM_FULL_BRAKE
-    assert harness.brake_kpa == 4500
+    assert harness.brake_kpa == 3500
     assert harness.value("steering_cmd", "steering_motor_ang_cmd") > 0
+    harness.set_speed(0.0)
+    harness.run(2)
+    assert harness.brake_kpa == 4500, "at rest nobody steers"

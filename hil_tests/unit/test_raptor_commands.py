@@ -6,7 +6,18 @@ from collections.abc import Callable
 from itertools import pairwise
 
 import pytest
-from actuator_ecus import DEG, FULL_BRAKE, FULL_BRAKE_COUNTS, TICK_US, YELLOW, Car, Computer, car_in, message_frame
+from actuator_ecus import (
+    DEG,
+    FULL_BRAKE,
+    FULL_BRAKE_COUNTS,
+    STEERED_BRAKE,
+    TICK_US,
+    YELLOW,
+    Car,
+    Computer,
+    car_in,
+    message_frame,
+)
 
 from bridge._native import ffi, lib
 from dbc.frames import Bus, Flag, iterate
@@ -26,11 +37,11 @@ def driving(accelerator: float = 30.0, steer_deg: float = 12.0) -> Car:
     return car
 
 
-def stopped(car: Car) -> None:
+def stopped(car: Car, brake: float = STEERED_BRAKE) -> None:
     """The reaction: full brake, no throttle, no engine, and it stays."""
     assert car.state == EMERGENCY
-    assert car.c.demand.brake == FULL_BRAKE
-    assert car.space_drive.drive.brake_pressure_demand == FULL_BRAKE
+    assert car.c.demand.brake == brake
+    assert car.space_drive.drive.brake_pressure_demand == pytest.approx(brake, abs=200)
     assert (car.drive.throttle_demand, car.drive.ignition, car.drive.starter) == (0.0, False, False)
 
 
@@ -59,7 +70,7 @@ def test_a_command_that_stops_or_sticks(name: str, fault: int, kind: str) -> Non
     assert ticks * TICK_US == 110_000 + (TICK_US if kind == "stuck" else 0)
     stuck = lib.RAPTOR_COMMAND_COUNTER_STUCK if kind == "stuck" else 0
     assert car.c.commands.faults == fault | stuck
-    stopped(car)
+    stopped(car, FULL_BRAKE if name == "steering_cmd" else STEERED_BRAKE)
     assert car.diagnostic_bits & OBC_LOST
     getattr(car.computer, kind).clear()
     car.run(300)
@@ -149,8 +160,12 @@ def test_implausible_values_are_never_used_and_three_in_a_row_stop_the_car(
             assert after == before
             assert car.state == 9
     assert car.c.commands.faults & lib.RAPTOR_COMMAND_IMPLAUSIBLE
-    stopped(car)
+    stopped(car, FULL_BRAKE if name == "steering_cmd" else STEERED_BRAKE)
     assert car.c.demand.steer == pytest.approx(12 * DEG, abs=1e-6), "the last plausible angle is kept"
+    car.computer.steer_deg = 20.0
+    send_raw(car, name, **{signal: value})
+    angle = 12 if name == "steering_cmd" else 20
+    assert car.c.demand.steer == pytest.approx(angle * DEG, abs=1e-6), "who commands nonsense else may steer well"
 
 
 @pytest.mark.parametrize(("name", "signal", "value"), IMPLAUSIBLE)
@@ -221,7 +236,7 @@ def test_a_computer_that_is_ahead_keeps_a_restarted_raptor_from_testing() -> Non
     car.wired.safety_switch = 4
     car.run(200)
     assert car.state == 2
-    assert car.c.demand.brake == FULL_BRAKE
+    assert car.c.demand.brake == STEERED_BRAKE
 
 
 def foreign(frame: bytes, **fields: object) -> bytes:
@@ -281,7 +296,8 @@ def test_any_command_fault_closes_the_throttle_and_brakes_in_the_same_step(fault
     inputs = ffi.new("raptor_demand_input *", {"commands": ffi.addressof(car.c.commands), "sys_state": 9})
     demand = ffi.addressof(car.c.demand)
     lib.raptor_demand_step(demand, ffi.addressof(car.c.config), inputs, car.now_us)
-    assert (demand.throttle, demand.brake) == (0.0, FULL_BRAKE)
+    steered = fault != lib.RAPTOR_COMMAND_STEERING_TIMEOUT
+    assert (demand.throttle, demand.brake) == (0.0, STEERED_BRAKE if steered else FULL_BRAKE)
 
 
 def test_the_brake_is_held_before_driving_and_follows_the_command_in_it() -> None:
@@ -367,6 +383,18 @@ def test_under_emergency_the_steering_follows_a_sane_computer_while_the_car_move
     assert car.c.demand.steer == pytest.approx(20 * DEG, abs=1e-6), "at rest nothing moves any more"
 
 
+def test_under_emergency_a_steering_step_is_followed_no_more_than_before_it() -> None:
+    car = driving()
+    car.computer.steer_deg = 102.5  # 90.5 deg in a cycle
+    car.run(20)
+    stopped(car, FULL_BRAKE)
+    assert car.c.demand.steer == pytest.approx(12 * DEG, abs=1e-6)
+    car.computer.steer_deg = 20.0
+    car.run(2)
+    stopped(car)
+    assert car.c.demand.steer == pytest.approx(20 * DEG, abs=1e-6), "who is back at it is followed again"
+
+
 def test_a_shutdown_of_a_rolling_car_leaves_it_steered() -> None:
     car = driving(accelerator=0.0)
     car.computer.ct_state = 11
@@ -386,7 +414,7 @@ def test_under_emergency_without_a_computer_the_steering_is_kept() -> None:
     car = driving()
     car.computer.silent = {"brake_pressure_cmd", "accelerator_cmd", "steering_cmd", "ct_report", "gear_shift_cmd"}
     car.run(100)
-    stopped(car)
+    stopped(car, FULL_BRAKE)
     assert car.space_drive.drive.steer_motor_demand == pytest.approx(12 * DEG, abs=3e-4)
     assert car.space_drive.c.emergency == 0, "the Raptor itself is alive"
 

@@ -163,12 +163,22 @@ def throttled(log: Recording, begin_us: int) -> NDArray[np.intp]:
 def test_full_brake_fault_with_full_brake_in_time(log: Recording) -> None:
     log.insert(fault_event("est6_sd_emergency_brake"), DRIVES_US)
     due = DRIVES_US + 20 * MS
-    log.put("brake_pressure_cmd", "brake_pressure_cmd", 4500.0, log.places("brake_pressure_cmd", due))
+    log.put("brake_pressure_cmd", "brake_pressure_cmd", 3500.0, log.places("brake_pressure_cmd", due))
     log.put("accelerator_cmd", "acc_pedal_cmd", 0.0, log.places("accelerator_cmd", due))
     assert found(log, "SAFE-1") is None
     late = log.places("brake_pressure_cmd", DRIVES_US + S)[:1]
-    log.put("brake_pressure_cmd", "brake_pressure_cmd", 4499.0, late)
+    log.put("brake_pressure_cmd", "brake_pressure_cmd", 3499.0, late)
     assert found(log, "SAFE-1") == frame_of(log, int(late[0]))
+
+
+def test_full_brake_of_a_computer_that_lets_no_controller_steer(log: Recording) -> None:
+    places = log.places("ssm_status", DRIVES_US)
+    log.put("ssm_status", "ssm_state", SsmState.FULL_BRAKE, places)
+    log.put("brake_pressure_cmd", "brake_pressure_cmd", 3500.0, log.places("brake_pressure_cmd", DRIVES_US - 20 * MS))
+    log.put("accelerator_cmd", "acc_pedal_cmd", 0.0, log.places("accelerator_cmd", DRIVES_US - 20 * MS))
+    assert found(log, "SAFE-1") is None
+    log.put("ssm_status", "ssm_controller", 0, places[:2])
+    assert found(log, "SAFE-1") == frame_of(log, int(places[1]))
 
 
 @pytest.mark.parametrize("name", ["gnss_a_timeout", "wheel_speed_missing", "estimate_lost"])
@@ -208,10 +218,10 @@ def test_request_below_the_command(log: Recording, counts: int, breaks: bool) ->
 
 @pytest.mark.parametrize(
     ("message", "frames"),
-    [("brake_pressure_cmd", 12), ("accelerator_cmd", 12), ("steering_cmd", 12), ("ct_report", 4)],
+    [("brake_pressure_cmd", 12), ("accelerator_cmd", 13), ("steering_cmd", 13), ("ct_report", 4)],
 )
 def test_silent_command(log: Recording, message: str, frames: int) -> None:
-    """100 ms, 200 ms of ct_report, and two cycles."""
+    """100 ms, 200 ms of ct_report, and two cycles; what ends in the tick of the request may have been heard."""
     gone = log.places(message, DRIVES_US)
     near = log.copy()
     near.drop(gone[: frames - 1])
@@ -220,6 +230,14 @@ def test_silent_command(log: Recording, message: str, frames: int) -> None:
     log.drop(gone[:frames])
     due = log.places("req_brake_pos", last_us + database.message(message).timeout_us + 20 * MS + 1)[0]
     assert found(log, "SAFE-2") == frame_of(log, int(due))
+
+
+@pytest.mark.parametrize("message", ["brake_pressure_cmd", "accelerator_cmd", "steering_cmd", "ct_report"])
+def test_request_while_the_steering_is_silent(log: Recording, message: str) -> None:
+    """3500 kPa of 6000 are enough while somebody steers."""
+    log.put("req_brake_pos", "contrl_pos_brk", round(0x4000 * 2500 / 6000), log.places("req_brake_pos", DRIVES_US))
+    log.drop(log.places(message, DRIVES_US))
+    assert (found(log, "SAFE-2") is None) == (message != "steering_cmd")
 
 
 def test_emergency_without_full_request(log: Recording) -> None:
@@ -256,6 +274,15 @@ def test_silent_requests_must_brake(log: Recording, message: str) -> None:
     time_us, _ = found(log, "SAFE-3") or (0, 0)
     # 50 ms and two cycles until it must be noticed, then 40 ms, 4 / (2 pi 5 Hz), 33 ms and two cycles again.
     assert 60 * MS + 220 * MS <= time_us - DRIVES_US <= 80 * MS + 240 * MS
+
+
+@pytest.mark.parametrize("message", ["req_steer_pos", "req_brake_pos"])
+def test_brake_while_the_steering_is_silent(log: Recording, message: str) -> None:
+    log.drop(log.places(message, DRIVES_US))
+    for line, share in (("front", 1.0), ("rear", 0.46 / 0.54)):
+        log.put_truth(f"brake_pressure_{line}", 3500.0e3 * share, DRIVES_US + 100 * MS, DRIVES_US + 10 * S)
+    time_us, _ = found(log, "SAFE-3") or (0, 0)
+    assert (time_us > DRIVES_US + 100 * MS) == (message == "req_steer_pos")
 
 
 def test_reported_emergency_brake_must_brake(log: Recording) -> None:
@@ -572,6 +599,10 @@ def off_the_track(log: Recording, begin_us: int) -> float:
 CHANNELS = (1, 2, 3)
 
 
+def no_controller(log: Recording, begin_us: int, end_us: int) -> None:
+    log.put("ssm_status", "ssm_controller", 0, log.places("ssm_status", begin_us, end_us))
+
+
 def nobody_commands(log: Recording, begin_us: int, end_us: int) -> None:
     log.drop(log.places("steering_cmd", begin_us, end_us))
 
@@ -609,6 +640,7 @@ def one_channel_is_silent(log: Recording, begin_us: int, end_us: int) -> None:
 @pytest.mark.parametrize(
     "loss",
     [
+        no_controller,
         nobody_commands,
         commands_stand_still,
         nobody_requests,
@@ -779,6 +811,7 @@ def test_excused_properties_are_not_checked(log: Recording) -> None:
 def test_limits_are_those_of_the_files() -> None:
     """By hand from scenarios/operations/solo.yaml, scenarios/vehicles/av21.yaml and firmware/schema/faults.yaml."""
     assert pytest.approx(4500.0) == LIMITS.full_brake_kpa
+    assert pytest.approx(3500.0) == LIMITS.steered_brake_kpa
     assert pytest.approx(223.4535, abs=1e-3) == LIMITS.steering_deg
     assert pytest.approx(5.15662, abs=1e-4) == LIMITS.steering_slew_deg
     assert (LIMITS.throttle_percent, LIMITS.gears, LIMITS.standstill_speed) == (100.0, 6, 0.2)

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from actuator_ecus import BRAKE_STOP, DEG, FULL_BRAKE, TICK_US, Requests, SpaceDrive, message_frame
+from actuator_ecus import BRAKE_STOP, DEG, FULL_BRAKE, STEERED_BRAKE, TICK_US, Requests, SpaceDrive, message_frame
 
 from bridge._native import ffi, lib
 from dbc.codec import database
@@ -91,7 +91,7 @@ def test_three_bad_requests_in_a_row_are_an_emergency(axis: str, name: str) -> N
         frames[place] = BAD_FRAMES[name](frames[place])
         drive.tick(frames)
         assert drive.c.emergency == ((STEER if axis == "steer" else BRAKE) if number == 3 else 0)
-    assert drive.drive.brake_pressure_demand == FULL_BRAKE
+    assert drive.drive.brake_pressure_demand == (FULL_BRAKE if axis == "steer" else STEERED_BRAKE)
     assert drive.drive.steer_motor_demand == pytest.approx(0.2, abs=2.6e-4)
 
 
@@ -147,7 +147,7 @@ def test_silence_on_one_axis_is_an_emergency_after_the_time_out(axis: str, cause
         assert silent_us < 200_000
     assert silent_us == 60_000, "the first tick at which more than 50 ms have passed"
     assert drive.c.emergency == cause
-    assert drive.drive.brake_pressure_demand == FULL_BRAKE
+    assert drive.drive.brake_pressure_demand == (FULL_BRAKE if axis == "steer" else STEERED_BRAKE)
 
 
 def test_the_emergency_brake_stays_but_the_steering_follows_valid_requests() -> None:

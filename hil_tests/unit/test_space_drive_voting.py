@@ -6,7 +6,7 @@ import math
 import random
 
 import pytest
-from actuator_ecus import DEG, FULL_BRAKE, Requests, SpaceDrive
+from actuator_ecus import DEG, FULL_BRAKE, STEERED_BRAKE, Requests, SpaceDrive
 
 from bridge._native import ffi, lib
 
@@ -141,7 +141,7 @@ def test_two_wrong_sensors_are_an_emergency(axis: str, wrong: tuple[float, float
         drive.tick(requests.frames())
     expected = lib.SPACE_DRIVE_EMERGENCY_STEER_SENSORS if axis == "steer" else lib.SPACE_DRIVE_EMERGENCY_BRAKE_SENSORS
     assert drive.c.emergency == expected
-    assert drive.drive.brake_pressure_demand == FULL_BRAKE
+    assert drive.drive.brake_pressure_demand == (FULL_BRAKE if axis == "steer" else STEERED_BRAKE)
     assert drive.drive.steer_motor_demand == pytest.approx(0.2, abs=2.6e-4)
 
 

@@ -76,7 +76,7 @@ class _Run:
         self.result = Measurement(cell, speed=bench.truth.vx)
         self.reacts = self.duration is not Duration.BELOW and matrix.supervised(cell)
         self.operation = dict(load_operation(bench.scenario.operation))
-        self.full_pa = float(self.operation["full_brake_pressure"])  # type: ignore[arg-type]
+        self.full_pa = float(self.operation["steered_brake_pressure"])  # type: ignore[arg-type]
 
     @property
     def brakes_fully(self) -> bool:
