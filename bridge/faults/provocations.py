@@ -84,7 +84,6 @@ class Provocation:
     durations : times of a plan by duration, where they do not follow; None where there is no such duration.
     resets : taking it away from a standing car is a reset by the operator.
     excused : ids of safety properties that it breaks by itself.
-    leaves_track : operating states from which the car slides beyond the edge of the track while it stops.
     reaction, diagnostic : of layers other than ssm; bits of diagnostic_report by name.
     """
 
@@ -99,7 +98,6 @@ class Provocation:
     durations: Mapping[Duration, Mapping[str, Any] | None] = field(default_factory=dict)
     resets: bool = False
     excused: tuple[str, ...] = ()
-    leaves_track: tuple[str, ...] = ()
     reaction: str = ""
     diagnostic: tuple[str, ...] = ()
 
@@ -302,7 +300,6 @@ def _provocation(path: Path, layer: str, name: str, entry: Mapping[str, Any], da
         durations={Duration(key): times for key, times in entry.get("durations", {}).items()},
         resets=entry.get("resets", False),
         excused=tuple(entry.get("excused", ())),
-        leaves_track=tuple(entry.get("leaves_track", ())),
         reaction=entry.get("reaction", ""),
         diagnostic=tuple(entry.get("diagnostic", ())),
     )
@@ -378,7 +375,6 @@ def _schema() -> dict[str, Any]:
         },
         "resets": {"type": "boolean"},
         "excused": names,
-        "leaves_track": {"type": "array", "items": {"enum": list(OPERATING_STATES)}},
     }
     either = [{"required": ["faults"]}, {"required": ["reason"]}]
 

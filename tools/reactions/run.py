@@ -182,11 +182,8 @@ class _Run:
     def judge_safety(self) -> None:
         """The safety properties have held but for those that the injection itself breaks."""
         self.bench.finish()
-        excused = {*self.provocation.excused}
-        if self.cell.state in self.provocation.leaves_track:
-            excused.add("SAFE-15")
         for violation in self.bench.safety.violations:
-            if violation.property_id not in excused:
+            if violation.property_id not in self.provocation.excused:
                 self.complain(str(violation))
         self.result.beyond_edge_m = self.trace.beyond_edge(self.matrix.edges)
         if self.bench.losses:
