@@ -98,6 +98,22 @@ def test_a_command_is_taken_by_its_own_receiver_and_by_no_other(name: str) -> No
     assert taken == untouched | values
 
 
+@pytest.mark.parametrize("sys_state", range(lib.RAPTOR_SYS_COUNT))
+def test_a_steering_step_is_judged_where_the_command_moves_the_wheels(sys_state: int) -> None:
+    monitor = Monitor()
+    monitor.send("steering_cmd", {"steering_motor_ang_cmd": 10.0}, 0, sys_state)
+    monitor.send("steering_cmd", {"steering_motor_ang_cmd": 200.0}, 10_000, sys_state)
+    moved = {
+        lib.RAPTOR_SYS_DRIVING,
+        lib.RAPTOR_SYS_SHUT_ENG,
+        lib.RAPTOR_SYS_PWR_OFF,
+        lib.RAPTOR_SYS_EMERGENCY_SHUTDOWN,
+    }
+    expected = (1, 10.0) if sys_state in moved else (0, 200.0)
+    angle = float(np.degrees(monitor.c.command.steer_motor_angle))
+    assert (monitor.c.steering_implausible, round(angle, 3)) == expected
+
+
 DISGUISES: dict[str, Callable[[bytes], bytes]] = {
     "other bus": lambda frame: changed(frame, bus=Bus.CAN3),
     "extended": lambda frame: changed(frame, flags=Flag.EXTENDED),
