@@ -21,7 +21,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
-from firmware.tables import load_faults
+from firmware.tables import load_faults, load_parameters
 
 FIRMWARE = Path(__file__).resolve().parents[1]
 ROOT = FIRMWARE.parent
@@ -62,6 +62,7 @@ _VOTER = ("proofs/voter_proofs.c", "common/voter.c")
 _FAULTS = ("proofs/fault_monitor_proofs.c", "obc/fault_monitor.c", "obc/ssm.c", "generated/fault_table.c")
 _FAULT_LOOP = len(load_faults()) + 2
 _PARAMETERS = ("proofs/parameters_proofs.c", "obc/parameters.c", "generated/parameter_table.c")
+_PARAMETER_LOOP = len(load_parameters().parameters) + 1
 
 PROOFS = (
     Proof(
@@ -125,7 +126,7 @@ PROOFS = (
         ("obc/parameters.c", "if (!isfinite(value->real))", "if (isinf(value->real))"),
     ),
     Proof(
-        "commit", "parameters: all or nothing, once", _PARAMETERS, 43,
+        "commit", "parameters: all or nothing, once", _PARAMETERS, _PARAMETER_LOOP,
         ("obc/parameters.c", "self->rejected == 0U && self->missing == 0U", "self->missing == 0U"),
     ),
 )  # fmt: skip
