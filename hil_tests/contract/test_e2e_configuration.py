@@ -27,10 +27,10 @@ WRITES, COMMIT = SENT[:-1], SENT[-1]
 
 def heard_at_once(frames: list[bytes]) -> Any:
     """An onboard computer after one tick with these frames."""
-    obc = ffi.new("obc *")
+    obc, outbox = ffi.new("obc *"), Outbox()
     lib.obc_init(obc)
     array, count = cast_frames(b"".join(frames))
-    lib.obc_tick(obc, 0, array, count, Outbox().c)
+    lib.obc_tick(obc, 0, array, count, outbox.c)
     return obc
 
 

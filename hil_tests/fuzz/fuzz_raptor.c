@@ -4,6 +4,7 @@
 #include <math.h>
 
 #include "raptor/raptor.h"
+#include "space_drive/space_drive.h"
 
 static raptor controller;
 static raptor_wired_in wired;
