@@ -1,4 +1,4 @@
-"""docs/radar.md says what the code does: figures, verdicts, statuses, the example."""
+"""docs/radar.md says what the code does: figures, verdicts, statuses, the example, the form of the printed table."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from bridge.sensors.radar import RadarErrors
 from dbc.buses import DIRECTORY
 from dbc.network import load_database
 from dbc.radar_tracks import wire_limits
-from tools.fusion_bench import MATCH_M
+from tools.fusion_bench import BINS_M, MATCH_M, SOURCES
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs" / "radar.md").read_text()
@@ -79,3 +79,10 @@ def test_every_verdict_and_status_is_there():
     assert re.findall(r"^\| ([A-Z_]+) ", table, re.MULTILINE) == [v.name for v in [*list(Verdict)[1:], Verdict.KEPT]]
     for status in (*RadarStatus, *SourceStatus):
         assert re.search(rf"\b{status.name}\b", PAGE), status.name
+
+
+def test_the_printed_table_has_every_bin_and_source():
+    (block,) = re.findall(r"^```text\n(.*?)^```", PAGE, re.MULTILINE | re.DOTALL)
+    rows = [[cell.strip() for cell in line.strip("│").split("│")] for line in block.splitlines() if line[:1] == "│"]
+    assert [row[0] for row in rows] == [bin_ for start, end in BINS_M for bin_ in (f"{start} to {end}", "", "")]
+    assert [row[1] for row in rows] == [*SOURCES] * len(BINS_M)
