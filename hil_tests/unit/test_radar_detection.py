@@ -303,6 +303,18 @@ def test_the_covariance_is_that_of_the_errors(lateral: float) -> None:
     assert 1.0 < mean < stats.chi2(2 * len(squares)).ppf(0.9999) / len(squares)
 
 
+@pytest.mark.parametrize(("mode", "angle_deg"), [(RangeMode.LONG_RANGE, 0.5), (RangeMode.MEDIUM_RANGE, 1.0)])
+def test_the_covariance_straight_ahead_in_closed_form(mode: RangeMode, angle_deg: float) -> None:
+    """Along the sight the range's; across it the angle's and half a car's width."""
+    one = tracks_of((50.0, 0.0, -10.0))
+    one["mode"] = mode
+    (car,) = (
+        RadarDetector(circle(radius=1.0e5)).step(0, one, OwnMotion(Pose(1.0e5, 0.0, 0.5 * math.pi), 60, 0, 0)).objects
+    )
+    across = (50.0 * math.radians(angle_deg)) ** 2 + (0.5 * 1.93) ** 2
+    assert car["covariance"] == pytest.approx(np.diag([1.8**2, across]), abs=0.01)
+
+
 def test_the_radar_sits_where_the_model_has_it() -> None:
     """Both sides say on their own where the radar sits; they have to agree."""
     sensor = mounted(Truth(0.0, 0.0, 0.0, 0.0, *(0.0,) * 11), 1.784 - 1.247)

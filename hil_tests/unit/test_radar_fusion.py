@@ -155,6 +155,21 @@ def test_the_lidar_says_where_and_the_radar_how_fast() -> None:
     assert both["confidence"] == pytest.approx(1.0 - 0.2 * 0.5)
 
 
+def test_each_pair_has_the_rate_of_its_own_radar_object() -> None:
+    print(f"seed {SEED}")
+    generator = np.random.default_rng(SEED)
+    order = generator.permutation(20)
+    lidar = seen(*((30.0 * k, 0.0) for k in range(20)))
+    radar = heard(*((30.0 * k + 1.0, 0.5) for k in order.tolist()))
+    radar["range_rate"] = -order
+    radar["confidence"] = 0.01 * order
+    fused = fuse(lidar, radar).objects
+    assert len(fused) == 20
+    assert fused["range_rate"].tolist() == [-k for k in range(20)]
+    assert fused["radar_track"].tolist() == (np.argsort(order) + 1).tolist()
+    assert fused["confidence"] == pytest.approx(1.0 - 0.2 * (1.0 - 0.01 * np.arange(20)))
+
+
 def test_what_only_one_of_them_has_stays_what_it_is() -> None:
     lidar, radar = seen((20.0, 0.0), (60.0, 3.0)), heard((100.0, 0.0), (60.0, 3.5))
     fused = fuse(lidar, radar).objects
