@@ -18,6 +18,7 @@ from autonomy.detection.cloud import Cloud, Pose
 from autonomy.frenet import FloatArray
 from autonomy.track import Track
 from bridge.sensors.lidar import MOUNTS
+from bridge.sensors.surfaces import CAR_PARTS
 
 AXLE_HEIGHT = 0.31  # m, of the rear axle's middle over the ground
 FIELD_OF_VIEW_DEG = 120.0
@@ -25,20 +26,6 @@ COLUMNS, LINES = 480, 64
 ELEVATION_DEG = (-22.0, 8.0)
 RANGE_NOISE = 0.01  # m, standard deviation
 POINTS = 60_000  # of a merged scan
-
-#: Boxes of a car: x, y, z from low to high, m, from the middle of its outline on the ground; 4.9 m by 1.93 m over all.
-CAR = (
-    ((-2.0, 2.3), (-0.45, 0.45), (0.05, 0.55)),  # tub
-    ((-1.6, 0.2), (-0.3, 0.3), (0.55, 1.1)),  # cockpit and engine cover
-    ((2.2, 2.45), (-0.95, 0.95), (0.08, 0.3)),  # front wing
-    ((-2.45, -2.1), (-0.7, 0.7), (0.6, 0.95)),  # rear wing
-    ((-2.3, -2.1), (-0.05, 0.05), (0.3, 0.6)),  # its pillar
-    *(
-        ((x - 0.3, x + 0.3), (min(y, y + w), max(y, y + w)), (0.0, 0.62))
-        for x in (-1.5, 1.47)
-        for y, w in ((-0.965, 0.36), (0.965, -0.36))
-    ),
-)
 
 _WALL_HEIGHT = 1.1  # m
 _APRON = 25.0  # m, level, from the inner boundary to the inner wall
@@ -126,24 +113,45 @@ class LidarScene:
         """
         rng = np.random.default_rng(seed)
         rotation, origin, pose = self._frame(station, lateral)
-        starts, beams = _beams()
-        from_, to = origin + starts @ rotation.T, beams @ rotation.T
-        distance = self._ground_distance(from_, to)
-        source = np.full(len(beams), -1)
         outlines = np.empty((len(cars), 3))
-        for number, (car_station, car_lateral) in enumerate(cars):
-            car_rotation, car_origin, car_pose = self._frame(car_station, car_lateral)
-            hit = _car_distance((from_ - car_origin) @ car_rotation, to @ car_rotation)
-            nearer = hit < distance
-            distance[nearer], source[nearer] = hit[nearer], number
+        for number, place in enumerate(cars):
+            _, car_origin, car_pose = self._frame(*place)
             outlines[number, :2] = ((car_origin - origin) @ rotation)[:2]
             outlines[number, 2] = math.remainder(car_pose.yaw - pose.yaw, 2.0 * math.pi)
+        distance, source = self.cast(station, lateral, cars)
         echoes = np.flatnonzero(np.isfinite(distance))
         if len(echoes) > points:
             echoes = np.sort(rng.choice(echoes, points, replace=False))
         noisy = distance[echoes] + rng.normal(0.0, RANGE_NOISE, len(echoes))
+        starts, beams = _beams()
         cloud = starts[echoes] + beams[echoes] * noisy[:, None]
         return Scan(cloud.astype(np.float32), pose, outlines, source[echoes])
+
+    def cast(
+        self, station: float, lateral: float, cars: Sequence[tuple[float, float]]
+    ) -> tuple[FloatArray, NDArray[np.int64]]:
+        """Where all beams end, without noise or loss.
+
+        Parameters
+        ----------
+        station, lateral, cars : as in `scan`.
+
+        Returns
+        -------
+        distance : shape (n,), m, LiDAR after LiDAR, column after column, line after line; infinite without an echo.
+        source : of each: -1 road or wall, else the car.
+        """
+        rotation, origin, _ = self._frame(station, lateral)
+        starts, beams = _beams()
+        from_, to = origin + starts @ rotation.T, beams @ rotation.T
+        distance = self._ground_distance(from_, to)
+        source = np.full(len(beams), -1)
+        for number, place in enumerate(cars):
+            car_rotation, car_origin, _ = self._frame(*place)
+            hit = _car_distance((from_ - car_origin) @ car_rotation, to @ car_rotation)
+            nearer = hit < distance
+            distance[nearer], source[nearer] = hit[nearer], number
+        return distance, source
 
     def _ground_distance(self, start: FloatArray, beam: FloatArray) -> FloatArray:
         """Distance to road or wall along each beam, m; infinite without an echo."""
@@ -192,7 +200,7 @@ def _car_distance(start: FloatArray, beam: FloatArray) -> FloatArray:
     """Distance to the car along each beam, both in the car's frame, m; infinite where it is missed."""
     distance = np.full(len(beam), np.inf)
     with np.errstate(divide="ignore", invalid="ignore"):
-        for box in CAR:
+        for box in CAR_PARTS:
             sides = np.array(box)
             to_low, to_high = (sides[:, 0] - start) / beam, (sides[:, 1] - start) / beam
             enter = np.nanmax(np.minimum(to_low, to_high), axis=1)
