@@ -71,6 +71,10 @@ detection-bench: build ## Measure LiDAR detection beside numpy, scipy and scikit
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -r $(VENV)/bench-requirements.txt
 	$(BIN)/python -m tools.detection_bench
 
+.PHONY: lidar-bench
+lidar-bench: build ## Measure the spatial LiDAR model beside the same beams cast with numpy
+	$(BIN)/python -m tools.lidar_bench
+
 .PHONY: jitter
 jitter: build ## Measure the onboard computer's cycle, idle and under load, beside cyclictest; results to OUT/jitter
 	$(BIN)/raceloop jitter --seconds 60 --load all --out '$(OUT)/jitter'
