@@ -10,6 +10,9 @@
 /* A displacement is bounded by that of the ends of the scan; the path between them bends by less than this. */
 #define BEND 1.1
 
+/* Added to bounds that would be exact but for rounding, m. */
+#define ROUNDING_M 1e-9
+
 /* Sine up to which an angle is bounded by the sine times BEND. */
 #define SMALL_SINE 0.7
 
@@ -148,7 +151,9 @@ typedef struct cast {
     beam_hits *hits;
     rigid_pose middle; /* of the LiDAR in the body's frame, in the middle of the scan */
     double path;       /* m, that it is from there at most */
+    double climb;      /* m, along its upward axis, that it is from there at most */
     double turn;       /* rad, by which it is turned from there at most */
+    double tilt;       /* rad, by which its upward axis is */
 } cast;
 
 /* Columns from `first` up to but not including `end`. */
@@ -213,6 +218,54 @@ static column_range columns_of_sphere(const cast *self, const double centre[3], 
     return columns_between(self->pattern, azimuth - half, azimuth + half);
 }
 
+/* Corners of a quad in the axes of the LiDAR in the middle of the scan. */
+typedef struct outline {
+    double x[4];
+    double y[4];
+    double up[2];    /* m, of the lowest and of the highest */
+    double level[2]; /* m from the upward axis, of the nearest and of the farthest */
+    double middle;   /* m from the upward axis, of the middle */
+    double distance; /* m, of the middle */
+} outline;
+
+static outline outline_of(const cast *self, const beam_quad *quad, const double centre[3])
+{
+    outline seen = {.up = {INFINITY, -INFINITY}, .level = {INFINITY, 0.0}, .distance = length(centre)};
+    for (unsigned k = 0U; k < 4U; k++) {
+        const double away[3] = {quad->corner[0][k] - self->middle.place[0], quad->corner[1][k] - self->middle.place[1],
+                                quad->corner[2][k] - self->middle.place[2]};
+        seen.x[k] = along(&self->middle, 0U, away);
+        seen.y[k] = along(&self->middle, 1U, away);
+        const double up = along(&self->middle, 2U, away);
+        const double level = seen.x[k] * seen.x[k] + seen.y[k] * seen.y[k];
+        seen.up[0] = least(seen.up[0], up);
+        seen.up[1] = greatest(seen.up[1], up);
+        seen.level[0] = least(seen.level[0], level);
+        seen.level[1] = greatest(seen.level[1], level);
+    }
+    seen.level[0] = sqrt(seen.level[0]);
+    seen.level[1] = sqrt(seen.level[1]);
+    const double x = along(&self->middle, 0U, centre);
+    const double y = along(&self->middle, 1U, centre);
+    seen.middle = sqrt(x * x + y * y);
+    return seen;
+}
+
+/* Whether a quad lies between two lines of beams during all of the scan, as most do that are far off. */
+static bool lies_between_lines(const cast *self, const beam_quad *quad, const outline *seen, double slack)
+{
+    const double nearest = seen->middle - quad->radius - slack; /* a side may be nearer than its ends */
+    if (nearest <= 0.0) {
+        return false;
+    }
+    const double rise = self->climb + self->tilt * (seen->distance + quad->radius + self->path) + ROUNDING_M;
+    const double farthest = seen->level[1] + slack;
+    const double low = seen->up[0] - rise;
+    const double high = seen->up[1] + rise;
+    return lines_below(self->pattern, low / (low < 0.0 ? nearest : farthest)) ==
+           lines_below(self->pattern, high / (high > 0.0 ? nearest : farthest));
+}
+
 /* Columns that can meet a quad. At every time the azimuths of what it covers lie between those of its corners, and
  * those differ from the ones in the middle of the scan by less than the path that the LiDAR takes shows. */
 static column_range columns_of_quad(const cast *self, const beam_quad *quad)
@@ -221,33 +274,24 @@ static column_range columns_of_quad(const cast *self, const beam_quad *quad)
     const column_range none = {0U, 0U};
     double centre[3];
     minus(quad->centre, self->middle.place, centre);
-    const double distance = length(centre);
-    if (distance - quad->radius - self->path > self->pattern->range_max) {
+    const double reach = self->pattern->range_max + quad->radius + self->path;
+    if (dot(centre, centre) > reach * reach) {
         return none;
     }
-    const double slack = self->path + self->turn * (distance + quad->radius);
-    if (along(&self->middle, 0U, centre) < -(quad->radius + slack)) {
-        return none;
-    }
-    double x[4];
-    double y[4];
+    const outline seen = outline_of(self, quad, centre);
+    const double slack = self->path + self->turn * (seen.distance + quad->radius);
     bool behind = true;
-    double nearest = INFINITY;
     for (unsigned k = 0U; k < 4U; k++) {
-        const double away[3] = {quad->corner[0][k] - self->middle.place[0], quad->corner[1][k] - self->middle.place[1],
-                                quad->corner[2][k] - self->middle.place[2]};
-        x[k] = along(&self->middle, 0U, away);
-        y[k] = along(&self->middle, 1U, away);
-        behind = behind && x[k] < -slack;
-        nearest = least(nearest, x[k] * x[k] + y[k] * y[k]);
+        behind = behind && seen.x[k] < -slack;
     }
-    if (behind) {
+    if (behind || lies_between_lines(self, quad, &seen, slack)) {
         return none;
     }
-    nearest = sqrt(nearest);
-    if (slack > SMALL_SINE * nearest) {
+    if (slack > SMALL_SINE * seen.level[0]) {
         return all;
     }
+    const double *x = seen.x;
+    const double *y = seen.y;
     const double first = atan2(y[0], x[0]);
     double low = 0.0;
     double high = 0.0;
@@ -256,7 +300,7 @@ static column_range columns_of_quad(const cast *self, const beam_quad *quad)
         low = least(low, turned);
         high = greatest(high, turned);
     }
-    const double half = BEND * slack / nearest;
+    const double half = BEND * slack / seen.level[0];
     if (high - low + 2.0 * half >= HALF_TURN) { /* it may lie above or below the LiDAR */
         return all;
     }
@@ -438,6 +482,13 @@ void beam_cast(const beam_pattern *pattern, const rigid_pose *mount, const rigid
         double away[3];
         minus(there.place, self.middle.place, away);
         self.path = greatest(self.path, BEND * length(away));
+        self.climb = greatest(self.climb, BEND * fabs(along(&self.middle, 2U, away)));
+        double tilted = 0.0; /* squared, of the chord between the upward axes */
+        for (unsigned axis = 0U; axis < 3U; axis++) {
+            const double apart = there.axes[3U * axis + 2U] - self.middle.axes[3U * axis + 2U];
+            tilted += apart * apart;
+        }
+        self.tilt = greatest(self.tilt, BEND * sqrt(tilted));
     }
     const column_range seen = columns_of_sphere(&self, centre, radius);
     for (uint32_t column = seen.first; column < seen.end; column++) {

@@ -54,8 +54,8 @@ def random_motion(rng, spread, speed, rate):
 
 
 def random_quads(rng, count):
-    """Large and small, flat and folded, convex and not; near ones all around the LiDAR."""
-    centre = rng.normal(0.0, 1.0, (count, 1, 3)) * rng.choice([1.0, 4.0, 15.0], (count, 1, 1))
+    """Large and small, near and far, flat and folded, convex and not; all around the LiDAR."""
+    centre = rng.normal(0.0, 1.0, (count, 1, 3)) * rng.choice([1.0, 4.0, 15.0, 30.0], (count, 1, 1))
     spread = rng.normal(0.0, 1.0, (count, 4, 3)) * rng.choice([0.3, 2.0, 10.0], (count, 1, 1))
     flat = rng.random(count) < 0.5
     # In a plane: the corners are combinations of two directions.
@@ -80,7 +80,7 @@ def test_every_beam_ends_where_it_does_with_every_triangle(seed, speed):
     bodies = [(mesh.corners, still), *((body.corners, car) for car in cars)]
     # Rounding may decide whether an edge is met: the range lies between those of larger and of smaller triangles.
     least, most = ranges_between(SMALL, mount, vehicle, bodies)
-    assert np.isfinite(most).mean() > 0.2
+    assert np.isfinite(most).mean() > 0.1
     assert (ranges[0] >= least * (1.0 - 1e-6)).all()
     assert (ranges[0] <= most * (1.0 + 1e-6)).all()
     assert np.mean(np.isclose(least, most, rtol=1e-6)) > 0.98, "the bounds say something"
