@@ -133,7 +133,8 @@ def show(console: Console, result: Measurement, scans: int) -> bool:
     for times in (result.scan, result.same, result.numpy):
         cpu, wall = np.array(times.cpu), np.array(times.wall)
         figures = (cpu.min(), cpu.mean(), np.percentile(cpu, 99), cpu.max(), wall.mean(), wall.max())
-        table.add_row(times.name, *(f"{value:.2f}" for value in figures), str(len(cpu)))
+        cells = (f"{value:.2f}" if value < 100.0 else f"{value:.0f}" for value in figures)
+        table.add_row(times.name, *cells, str(len(cpu)))
     console.print(table)
     mean = statistics.mean(result.scan.cpu)
     met = mean < TARGET_MS
