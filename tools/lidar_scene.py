@@ -71,12 +71,16 @@ class LidarScene:
         self._nearest: NDArray[np.int64] = np.asarray(nearest)
         self._cos, self._sin, self._tan_bank = np.cos(line.heading), np.sin(line.heading), np.tan(track.bank)
 
+    def nearest_node(self, x: FloatArray, y: FloatArray) -> NDArray[np.int64]:
+        """Node of the centre line nearest to the middle of the raster's cell that a place is in."""
+        column = ((x - self._corner[0]) / _RASTER).astype(int).clip(0, self._nearest.shape[0] - 1)
+        row = ((y - self._corner[1]) / _RASTER).astype(int).clip(0, self._nearest.shape[1] - 1)
+        return self._nearest[column, row]
+
     def road(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Height of the ground, and distances to the left, from the outer and to the inner wall, m."""
         line, track = self.track.centre, self.track
-        column = ((x - self._corner[0]) / _RASTER).astype(int).clip(0, self._nearest.shape[0] - 1)
-        row = ((y - self._corner[1]) / _RASTER).astype(int).clip(0, self._nearest.shape[1] - 1)
-        i = self._nearest[column, row]
+        i = self.nearest_node(x, y)
         dx, dy = x - line.x[i], y - line.y[i]
         cos, sin = self._cos[i], self._sin[i]
         along, across, curvature = dx * cos + dy * sin, dy * cos - dx * sin, line.curvature[i]

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from autonomy.detection.boundary_estimate import BoundaryEstimate, BoundaryStatus
 from autonomy.detection.cloud import POINTS_MAX, Cloud, DetectionStatus, Pose, check_cloud
 from autonomy.detection.clustering import OBJECT_DTYPE, Clustering, ClusteringConfig
 from autonomy.detection.cross_check import CrossCheck, VehicleShape, cross_check
@@ -36,11 +37,13 @@ class Detections:
     status : OK, or why there are no objects, or not all of them.
     objects : OBJECT_DTYPE, in the vehicle frame, nearest first.
     cars : the objects against the vehicle's geometry, in the same order.
+    boundary : whether a wall was seen; None without an estimate, or when the scan did not get that far.
     """
 
     status: DetectionStatus
     objects: NDArray[np.void]
     cars: CrossCheck
+    boundary: BoundaryStatus | None = None
 
 
 class Detector:
@@ -52,6 +55,7 @@ class Detector:
     ----------
     track : on which the car drives.
     config : thresholds.
+    boundary : estimate of where the walls are, for the same track; without one, the geofence is the track file's.
 
     Raises
     ------
@@ -59,9 +63,12 @@ class Detector:
         When the track cannot be fenced in (`Geofence`).
     """
 
-    def __init__(self, track: Track, config: DetectionConfig | None = None) -> None:
+    def __init__(
+        self, track: Track, config: DetectionConfig | None = None, boundary: BoundaryEstimate | None = None
+    ) -> None:
         self.config = config or DetectionConfig()
-        self._geofence = Geofence(track, self.config.margin)
+        self.boundary = boundary
+        self._geofence = Geofence(track, self.config.margin) if boundary is None else boundary.around
         self._ground_filter = GroundFilter(self.config.ground)
         self._clustering = Clustering(self.config.clustering)
         self._room = np.empty((POINTS_MAX, 3), dtype=np.float32)
@@ -73,7 +80,9 @@ class Detector:
         """Points dropped so far because a coordinate was NaN or infinite."""
 
     def step(self, cloud: object, pose: Pose) -> Detections:
-        """Detect the objects of one scan; depends on nothing but its arguments, and never raises.
+        """Detect the objects of one scan; never raises.
+
+        It depends on nothing but its arguments, and on earlier scans through the estimate of the boundary alone.
 
         Parameters
         ----------
@@ -96,10 +105,14 @@ class Detector:
         if fenced.not_finite == len(points):
             return _nothing(DetectionStatus.NOTHING_FINITE)
         raised, _ = self._ground_filter.apply(inside, out=self._room)
+        walls = None
+        if self.boundary is not None:
+            fence = self.boundary.step(raised, pose, self.config.margin)
+            raised, walls = raised[fence.inside], fence.status
         clusters = self._clustering.apply(raised)
         direction = self._road_direction(clusters.objects, pose)
         cars = cross_check(raised, clusters.labels, clusters.objects, direction, self.config.shape)
-        return Detections(clusters.status, clusters.objects, cars)
+        return Detections(clusters.status, clusters.objects, cars, walls)
 
     def _road_direction(self, objects: NDArray[np.void], pose: Pose) -> FloatArray:
         """Heading of the nearest node of the centre line, in the vehicle frame, rad."""
