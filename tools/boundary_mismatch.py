@@ -7,12 +7,16 @@ scans to a place, as a car that drives takes them, and cars around it, some of t
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from autonomy.detection.boundary_estimate import BoundaryEstimate
 from autonomy.detection.cloud import Pose
+from autonomy.detection.confirmation import Confirmation
+from autonomy.detection.detector import Detector
 from autonomy.frenet import FloatArray
 from autonomy.track import Track
 from tools.lidar_scene import LidarScene, Scan
@@ -28,8 +32,18 @@ _CARS = (
     ((12.0, 0.5), (30.0, -2.0), (-14.0, 3.0)),
     (),
 )
+#: An object whose middle is so far from every car's is false; nearer ones may be a part of it.
+FALSE_M = 3.5
+#: A car is found when an object's middle is so near to its own.
+FOUND_M = 2.0
+#: Cars that count are nearer.
+NEAR_M = 50.0
+
 _PERIOD_S = 0.05
 _SPEED, _SPEED_OF_OTHERS = 65.0, 60.0  # m/s
+
+
+Cars = Sequence[tuple[float, float]]
 
 
 @dataclass(frozen=True)
@@ -134,8 +148,8 @@ class OpenWall(LidarScene):
         return height, left, outer + self._back[self.nearest_node(x, y)], inner
 
 
-def scans_in_a_row(scene: LidarScene, station: float, cars: tuple[tuple[float, float], ...], seed: int) -> list[Scan]:
-    """Scans of a car that drives 1 m left of the wall's side of the road, from a station on, and of cars that drive.
+def scans_in_a_row(scene: LidarScene, station: float, cars: Cars, seed: int) -> list[Scan]:
+    """Scans of a car that drives 1 m right of the centre line, from a station on, and of cars that drive.
 
     Parameters
     ----------
@@ -156,3 +170,63 @@ def make_drives(scene: LidarScene, places: int) -> list[list[Scan]]:
         scans_in_a_row(scene, (place + 0.5) * spacing, _CARS[place % len(_CARS)], SCANS_IN_A_ROW * place)
         for place in range(places)
     ]
+
+
+@dataclass
+class Score:
+    """What detection made of drives.
+
+    Attributes
+    ----------
+    scans : in all.
+    false : objects that are no car.
+    false_fitting : those of them that pass the cross-check as cars.
+    false_confirmed : those of them that are there in two of three scans.
+    cars, found : cars nearer than NEAR_M, in all scans, and those of them that an object is at.
+    cars_again, confirmed : likewise but for the first scan of each drive, with confirmed objects.
+    cpu_ms : of each step of the detector.
+    """
+
+    scans: int = 0
+    false: int = 0
+    false_fitting: int = 0
+    false_confirmed: int = 0
+    cars: int = 0
+    found: int = 0
+    cars_again: int = 0
+    confirmed: int = 0
+    cpu_ms: list[float] = field(default_factory=list)
+
+
+def evaluate(real: Track, mismatch: Mismatch, drives: Sequence[Sequence[Scan]], estimating: bool) -> Score:
+    """Let a detector that is told wrong see all drives, with the estimate of the boundary or without.
+
+    Each drive begins with nothing known.
+    """
+    track = mismatch.track(real)
+    boundary = BoundaryEstimate(track) if estimating else None
+    detector, score = Detector(track, boundary=boundary), Score()
+    for drive in drives:
+        confirmation = Confirmation()
+        if boundary is not None:
+            boundary.forget()
+        for number, scan in enumerate(drive):
+            pose = mismatch.pose(scan.pose)
+            begin = time.process_time_ns()
+            seen = detector.step(scan.cloud, pose).cars
+            score.cpu_ms.append((time.process_time_ns() - begin) * 1e-6)
+            confirmed = confirmation.step(seen.centre, pose)
+            apart = np.hypot(*(seen.centre[:, None, :] - scan.cars[None, :, :2]).transpose(2, 0, 1))
+            false = apart.min(axis=1, initial=np.inf) > FALSE_M
+            score.scans += 1
+            score.false += int(np.count_nonzero(false))
+            score.false_fitting += int(np.count_nonzero(false & seen.fits))
+            score.false_confirmed += int(np.count_nonzero(false & confirmed))
+            near = np.hypot(scan.cars[:, 0], scan.cars[:, 1]) < NEAR_M
+            at = apart[:, near] < FOUND_M
+            score.cars += int(np.count_nonzero(near))
+            score.found += int(np.count_nonzero(at.any(axis=0)))
+            if number > 0:
+                score.cars_again += int(np.count_nonzero(near))
+                score.confirmed += int(np.count_nonzero(at[confirmed].any(axis=0)))
+    return score

@@ -33,6 +33,7 @@ from autonomy.track import Track
 from autonomy.track_files import load_track
 from dbc.errors import RaceloopError
 from scenarios import DIRECTORY
+from tools.boundary_mismatch import FOUND_M, MISMATCHES, Mismatch, evaluate, make_drives
 from tools.exit_status import ExitStatus
 from tools.lidar_scene import LidarScene, Scan
 
@@ -40,9 +41,6 @@ TARGET_FILTER_MS = 1.0  # mean of geofence and ground filter together
 TARGET_CLUSTERING_MS = 2.0  # mean
 TARGET_CLUSTERING_MAX_MS = 10.0
 TARGET_RATIO = 10.0  # DBSCAN over clustering, median
-
-#: A car is found when an object's middle is so near to its own.
-FOUND_M = 2.0
 
 _RANGES_M = ((0, 25), (25, 50), (50, 80))
 
@@ -288,6 +286,33 @@ def show_quality(console: Console, track: Track, scans: Sequence[Scan]) -> None:
     console.print(f"objects that are no car: {others}")
 
 
+def show_mismatches(console: Console, track: Track, places: int, mismatches: Sequence[Mismatch] = MISMATCHES) -> None:
+    """Print what wrong boundaries and poses do to detection, without and with the estimate of the boundary."""
+    drives = make_drives(LidarScene(track), places)
+    table = Table("boundary or pose off by", "estimate")
+    for heading in ("false per scan", "as cars", "confirmed", "cars found", "confirmed"):
+        table.add_column(heading, justify="right")
+    extra: list[float] = []
+    for mismatch in mismatches:
+        plain, solved = (evaluate(track, mismatch, drives, estimating) for estimating in (False, True))
+        extra += [b - a for a, b in zip(plain.cpu_ms, solved.cpu_ms, strict=True)]
+        for estimate, score in (("without", plain), ("with", solved)):
+            table.add_row(
+                mismatch.name if score is plain else "",
+                estimate,
+                *(f"{n / score.scans:.3f}" for n in (score.false, score.false_fitting, score.false_confirmed)),
+                f"{score.found} of {score.cars}",
+                f"{score.confirmed} of {score.cars_again}",
+            )
+    console.print(f"{sum(map(len, drives))} scans at {places} places around the lap, cars nearer than 50 m:")
+    console.print(table)
+    low, median, high = np.percentile(extra, (5, 50, 95))
+    console.print(
+        f"estimate, ms more per scan (processor): mean {statistics.mean(extra):.2f}, median {median:.2f},"
+        f" 5 to 95 % {low:.2f} to {high:.2f}"
+    )
+
+
 def _spread(values: list[float]) -> str:
     return f"min {min(values):.1f}, median {statistics.median(values):.1f}, max {max(values):.1f}"
 
@@ -314,6 +339,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     console = Console(highlight=False)
     scans = make_scans(track, options.scans)
     show_quality(console, track, scans)
+    show_mismatches(console, track, options.scans)
     met = show(console, measure(track, scans, options.rounds), options.scans)
     return ExitStatus.DONE if met else ExitStatus.MISSED
 

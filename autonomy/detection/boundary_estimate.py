@@ -162,6 +162,10 @@ class BoundaryEstimate:
         self.offset = np.zeros((2, bins))
         self.unseen = np.full((2, bins), self.config.memory + 1, dtype=np.int64)
 
+    def forget(self) -> None:
+        """Start afresh, as after a jump of the pose."""
+        self.unseen[:] = self.config.memory + 1
+
     def step(self, cloud: Cloud, pose: Pose, margin: float) -> Boundary:
         """Take in a scan, and fence it in.
 

@@ -307,7 +307,7 @@ def test_a_pose_that_is_not_finite_has_a_status_and_changes_nothing(estimate, tr
     assert (estimate.unseen == before[1]).all()
 
 
-def test_nothing_that_is_finite_makes_it_raise_or_lose_its_bounds(estimate, track, pose):
+def test_nothing_that_is_finite_makes_it_raise_or_lose_its_bounds(estimate, pose):
     print("seed", SEED)
     rng = np.random.default_rng(SEED)
     for number in range(150):
