@@ -37,6 +37,7 @@ _BIN = 2.0  # m of station
 _CELL = 0.2  # m of offset; the returns of a datum lie within two
 _FULL = 5  # returns; a datum of as many or more has full weight
 _STAGES = ((1e5, 2.0), (1e4, 1.0), (1e3, 0.5), (1e2, 0.3), (1e2, 0.2))  # stiffness, and Cauchy's width in m
+_LEAST_WEIGHT = 1.0e-6  # of an offset of 0, so that the equations can be solved whatever the data
 
 
 class BoundaryStatus(IntEnum):
@@ -75,7 +76,7 @@ class BoundaryConfig:
     dense: int = 2
     near: float = 0.3
     run: float = 30.0
-    gap: float = 6.0
+    gap: float = 2.0
     beyond: float = 20.0
     gain: float = 0.3
     rate: float = 0.2
@@ -232,9 +233,10 @@ class BoundaryEstimate:
         flat, shape = place[near] * self._cells + cell[near], (self._window, self._cells)
         count = np.bincount(flat, minlength=shape[0] * shape[1]).reshape(shape)
         total = np.bincount(flat, weights=beyond[near], minlength=shape[0] * shape[1]).reshape(shape)
+        taken = count > 0
         count[:, 1:] += count[:, :-1].copy()
         total[:, 1:] += total[:, :-1].copy()
-        dense = count >= self.config.dense
+        dense = taken & (count >= self.config.dense)
         outermost = self._cells - 1 - np.argmax(dense[:, ::-1], axis=1)
         every = np.arange(self._window)
         returns = np.where(dense[every, outermost], count[every, outermost], 0)
@@ -258,7 +260,7 @@ def _second_differences(count: int) -> FloatArray:
 
 def _solved(stiffness: FloatArray, stiff: float, datum: FloatArray, weights: FloatArray) -> FloatArray:
     matrix = stiff * stiffness
-    matrix[2] += weights + 1.0e-9
+    matrix[2] += weights + _LEAST_WEIGHT
     line: FloatArray = solveh_banded(matrix, weights * datum, check_finite=False)
     return line
 

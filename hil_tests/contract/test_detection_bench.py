@@ -15,7 +15,17 @@ from autonomy.detection.geofence import Geofence
 from autonomy.detection.ground_filter import GroundConfig, GroundFilter
 from autonomy.track_files import load_track
 from tools import detection_bench
-from tools.detection_bench import PlainGeofence, main, make_scans, measure, plain_ground_filter, show, show_quality
+from tools.boundary_mismatch import MISMATCHES
+from tools.detection_bench import (
+    PlainGeofence,
+    main,
+    make_scans,
+    measure,
+    plain_ground_filter,
+    show,
+    show_mismatches,
+    show_quality,
+)
 
 
 @pytest.fixture(scope="module")
@@ -78,6 +88,24 @@ def test_cars_are_told_by_their_distance(track, scans):
     assert rows[2][:2] == ("50 to 80", "1")
     assert all(0.0 < float(row[3]) <= float(row[4]) < 1.0 for row in rows[:2])
     assert page.endswith("objects that are no car: 0\n")
+
+
+def test_mismatches_are_shown_without_and_with_the_estimate(track):
+    console = Console(width=120, highlight=False, color_system=None)
+    worst = next(mismatch for mismatch in MISMATCHES if "20 %" in mismatch.name)
+    with console.capture() as captured:
+        show_mismatches(console, track, 2, (MISMATCHES[0], worst))
+    page = captured.get()
+    rows = re.findall(
+        r"^│ (.*?) +│ (with|without) +│ +([\d.]+) │ +([\d.]+) │ +([\d.]+) │ +(\d+) of (\d+) │", page, re.M
+    )
+    assert [row[:2] for row in rows] == [("none", "without"), ("", "with"), (worst.name, "without"), ("", "with")]
+    false = [float(row[2]) for row in rows]
+    assert false[2] > 0.5
+    assert max(false[0], false[1], false[3]) == 0.0
+    assert all(row[5] == row[6] for row in (rows[0], rows[1], rows[3]))
+    assert "6 scans at 2 places around the lap" in page
+    assert re.search(r"ms more per scan \(processor\): mean -?\d+\.\d\d, median ", page)
 
 
 def test_without_scikit_learn_it_says_so(capsys, monkeypatch):

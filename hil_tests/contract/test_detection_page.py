@@ -7,7 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
+from autonomy.detection.boundary_estimate import BoundaryConfig, BoundaryStatus
 from autonomy.detection.cloud import POINTS_MAX, RANGE, DetectionStatus
+from autonomy.detection.confirmation import GATE
 from autonomy.detection.detector import DetectionConfig
 from autonomy.detection.ground_filter import lib
 
@@ -35,6 +37,24 @@ def test_thresholds_are_those_of_the_code():
         f"the nearest {lib.CLUSTERS_OBJECTS_MAX}",
     ):
         assert said in TEXT, said
+
+
+def test_thresholds_of_the_boundary_are_those_of_the_code():
+    config = BoundaryConfig()
+    for said in (
+        f"the seen wall less {config.margin:g} m",
+        f"from {config.inward:g} m inside the file's boundary to {config.outward:g} m outside",
+        f"{config.dense} or more within 0.4 m",
+        f"within {config.near:g} m of the line",
+        f"at least {config.run:g} m long without a gap of more than {config.gap:g} m",
+        f"up to {config.beyond:g} m past",
+        f"{config.gain:g} of the way per scan, at most {config.rate:g} m",
+        f"{config.memory} scans",
+        f"{GATE:g} m from scan to scan",
+    ):
+        assert said in TEXT, said
+    for status in BoundaryStatus:
+        assert f"`{status.name}`" in TEXT
 
 
 def test_every_status_is_there():

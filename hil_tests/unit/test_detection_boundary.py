@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 import scenarios
 from autonomy.detection.boundary_estimate import (
+    _LEAST_WEIGHT,
     _STAGES,
     BoundaryConfig,
     BoundaryEstimate,
@@ -106,8 +107,8 @@ def test_the_line_is_that_of_the_normal_equations(stiff):
     datum, weight = rng.normal(0.0, 1.0, 60), rng.uniform(0.0, 1.0, 60) * (rng.uniform(size=60) < 0.6)
     line = _solved(_second_differences(60), stiff, datum, weight)
     # The same least squares as one tall system.
-    rows = np.concatenate((np.diag(np.sqrt(weight + 1e-9)), math.sqrt(stiff) * np.diff(np.eye(60), 2, axis=0)))
-    value = np.concatenate((weight * datum / np.sqrt(weight + 1e-9), np.zeros(58)))
+    rows = np.concatenate((np.diag(np.sqrt(weight + _LEAST_WEIGHT)), math.sqrt(stiff) * np.diff(np.eye(60), 2, axis=0)))
+    value = np.concatenate((weight * datum / np.sqrt(weight + _LEAST_WEIGHT), np.zeros(58)))
     assert line == pytest.approx(np.linalg.lstsq(rows, value, rcond=None)[0], abs=1e-4)
 
 
@@ -133,7 +134,7 @@ def test_a_wall_is_where_it_was_drawn(estimate, track, pose, name, side):
     assert found.status is BoundaryStatus.OK
     assert found.seen == (side == LEFT, side == RIGHT)
     bins, station = places(estimate, track, -48.0, 68.0)
-    assert np.abs(estimate.offset[side, bins] - WALLS[name](station)).max() < 0.15
+    assert np.abs(estimate.offset[side, bins] - WALLS[name](station)).max() < 0.2
     assert (estimate.unseen[side, bins] == 0).all()
     assert (estimate.unseen[1 - side] > CONFIG.memory).all()
     assert not found.inside.any()
@@ -144,12 +145,13 @@ def test_the_fence_is_the_tighter_of_the_two(estimate, track, pose, name):
     print("seed", SEED)
     rng = np.random.default_rng(SEED)
     estimate.step(wall(track, pose, rng, WALLS[name]), pose, MARGIN)
-    station, left = STATION + rng.uniform(-45.0, 65.0, 4000), rng.uniform(-9.0, 9.0, 4000)
-    inside = estimate.step(drawn(track, pose, station, left, 0.5), pose, MARGIN).inside
-    fence = np.minimum(-left - 7.45 - WALLS[name](station) + CONFIG.margin, 99.0)
-    off = np.maximum(np.maximum(fence, -left - 7.45 + MARGIN), left - 7.45 + MARGIN)
-    # Two bins of a wall that comes nearer by 0.08 m per m.
-    sure = np.abs(off) > 0.25
+    # So few at a time that they are no wall themselves.
+    station, left = STATION + rng.uniform(-45.0, 65.0, (15, 60)), rng.uniform(-9.0, 9.0, (15, 60))
+    found = [estimate.step(drawn(track, pose, *at, 0.5), pose, MARGIN) for at in zip(station, left, strict=True)]
+    assert {each.status for each in found} == {BoundaryStatus.NO_WALL}
+    inside = np.stack([each.inside for each in found])
+    off = np.maximum(np.maximum(-left, left) - 7.45 + MARGIN, -left - 7.45 - WALLS[name](station) + CONFIG.margin)
+    sure = np.abs(off) > 0.3
     assert (inside == (off < 0.0))[sure].all()
     assert 0.2 < inside.mean() < 0.9
     if name in ("as in the file", "outside"):
@@ -158,7 +160,7 @@ def test_the_fence_is_the_tighter_of_the_two(estimate, track, pose, name):
         assert (inside == (exact < 0.0))[np.abs(exact) > 0.05].all()
 
 
-@pytest.mark.parametrize("ahead", [-12.0, 0.0, 9.0, 25.0, 50.0])
+@pytest.mark.parametrize("ahead", [-12.0, 0.0, 9.0, 25.0, 40.0])
 @pytest.mark.parametrize("gap", [1.5, 2.0])
 @pytest.mark.parametrize("name", ["inside", "turned", "bent"])
 def test_a_car_beside_the_wall_stays(estimate, track, pose, ahead, gap, name):
@@ -169,7 +171,7 @@ def test_a_car_beside_the_wall_stays(estimate, track, pose, ahead, gap, name):
     opponent = car(track, pose, rng, ahead, -(7.45 + at) + gap)
     hidden = (
         wall(track, pose, rng, WALLS[name], end=ahead - 3.0),
-        wall(track, pose, rng, WALLS[name], begin=ahead + 17.0),
+        wall(track, pose, rng, WALLS[name], begin=ahead + 17.0, end=90.0),
     )
     for _ in range(3):
         inside = estimate.step(np.concatenate((*hidden, opponent)), pose, MARGIN).inside
@@ -185,7 +187,7 @@ def test_a_car_beside_the_wall_stays(estimate, track, pose, ahead, gap, name):
 @pytest.mark.parametrize("cars", [1, 2, 3])
 @pytest.mark.parametrize("side", [LEFT, RIGHT])
 def test_cars_in_a_row_are_no_wall(estimate, track, pose, cars, side):
-    """Where there is none, with 1 m from nose to tail and more."""
+    """Where there is none, with 1 m and more from nose to tail."""
     print("seed", SEED)
     rng = np.random.default_rng(SEED)
     for _ in range(60):
@@ -194,8 +196,6 @@ def test_cars_in_a_row_are_no_wall(estimate, track, pose, cars, side):
         left = rng.uniform(4.0, 5.5) * (1 if side == LEFT else -1)
         lefts = left + rng.normal(0.0, 0.1, cars)
         cloud = np.concatenate([car(track, pose, rng, a, d) for a, d in zip(ahead, lefts, strict=True)])
-        if cars == 3 and gaps[1:].sum() > 6.0:
-            continue
         found = estimate.step(cloud, pose, MARGIN)
         assert found.status is BoundaryStatus.NO_WALL
         assert (found.inside == (np.abs(FrenetRaster(track, 11.0).project(cloud, pose)[1]) < 6.45)).all()
@@ -204,7 +204,7 @@ def test_cars_in_a_row_are_no_wall(estimate, track, pose, cars, side):
 def test_an_opening_is_led_across_and_a_car_in_it_stays(estimate, track, pose):
     print("seed", SEED)
     rng = np.random.default_rng(SEED)
-    opponent = car(track, pose, rng, 20.0, -(7.45 - 1.5) + 2.0)
+    opponent = car(track, pose, rng, 20.0, -(7.45 - 1.5) + 2.2)
     parts = wall(track, pose, rng, WALLS["inside"], end=5.0), wall(track, pose, rng, WALLS["inside"], begin=35.0)
     found = estimate.step(np.concatenate((*parts, opponent)), pose, MARGIN)
     assert found.inside[-len(opponent) :].all()
@@ -217,7 +217,7 @@ def test_a_wall_that_ends_is_not_led_to_a_car_past_it(estimate, track, pose):
     print("seed", SEED)
     rng = np.random.default_rng(SEED)
     for ahead in (10.0, 20.0, 30.0, 45.0):
-        opponent = car(track, pose, rng, ahead, -(7.45 - 1.5) + 2.0)
+        opponent = car(track, pose, rng, ahead, -(7.45 - 1.5) + 2.4)
         part = wall(track, pose, rng, WALLS["inside"], end=2.0)
         assert estimate.step(np.concatenate((part, opponent)), pose, MARGIN).inside[-len(opponent) :].all()
 
@@ -245,10 +245,8 @@ def test_what_is_known_moves_no_farther_than_the_rate(estimate, track, pose):
 def test_a_wall_beyond_the_search_is_none(estimate, track, pose, far):
     cloud = wall(track, pose, np.random.default_rng(SEED), lambda s: far + 0.0 * s)
     found = estimate.step(cloud, pose, MARGIN)
-    # What lies more than half of the track away from its own side is on the other.
-    assert found.status is (BoundaryStatus.OK if far == -20.0 and found.seen[LEFT] else BoundaryStatus.NO_WALL)
-    assert not found.seen[RIGHT]
-    assert (estimate.unseen[RIGHT] > CONFIG.memory).all()
+    assert found.status is BoundaryStatus.NO_WALL
+    assert (estimate.unseen > CONFIG.memory).all()
 
 
 def test_what_is_not_seen_again_is_forgotten(estimate, track, pose):
