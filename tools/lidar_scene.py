@@ -75,7 +75,7 @@ class LidarScene:
         """Node of the centre line nearest to the middle of the raster's cell that a place is in."""
         column = ((x - self._corner[0]) / _RASTER).astype(int).clip(0, self._nearest.shape[0] - 1)
         row = ((y - self._corner[1]) / _RASTER).astype(int).clip(0, self._nearest.shape[1] - 1)
-        return self._nearest[column, row]
+        return np.asarray(self._nearest[column, row])
 
     def road(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Height of the ground, and distances to the left, from the outer and to the inner wall, m."""

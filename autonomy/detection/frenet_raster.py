@@ -32,7 +32,7 @@ class FrenetRaster:
     cell : m, side of the raster's cells.
     """
 
-    def __init__(self, track: Track, reach: float, cell: float = 2.0) -> None:
+    def __init__(self, track: Track, reach: float, cell: float = 4.0) -> None:
         line = track.centre
         self._x, self._y = line.x, line.y
         self._cos, self._sin = np.cos(line.heading), np.sin(line.heading)
@@ -42,7 +42,7 @@ class FrenetRaster:
         self._low = np.array([line.x.min(), line.y.min()]) - reach - cell
         high = np.array([line.x.max(), line.y.max()]) + reach + cell
         sides = np.ceil((high - self._low) / cell).astype(int)
-        middles = self._low + cell * (np.stack(np.indices(tuple(sides)), axis=-1) + 0.5)
+        middles = self._low + cell * (np.moveaxis(np.indices(tuple(sides)), 0, -1) + 0.5)
         _, nearest = cKDTree(np.column_stack((line.x, line.y))).query(middles)
         self._nearest: NDArray[np.int32] = np.asarray(nearest, dtype=np.int32)
 
