@@ -36,7 +36,7 @@ from autonomy.track import Track
 _BIN = 2.0  # m of station
 _CELL = 0.2  # m of offset; the returns of a datum lie within two
 _FULL = 5  # returns; a datum of as many or more has full weight
-_STAGES = ((1e5, 2.0), (1e4, 1.0), (1e3, 0.5), (1e2, 0.3), (1e2, 0.2))  # stiffness, and Cauchy's width in m
+_STAGES = ((1e5, 2.0), (1e4, 1.0), (1e3, 0.5), (1e2, 0.3), (30.0, 0.2))  # stiffness, and Cauchy's width in m
 _LEAST_WEIGHT = 1.0e-6  # of an offset of 0, so that the equations can be solved whatever the data
 
 
