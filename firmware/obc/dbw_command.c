@@ -73,8 +73,7 @@ static setpoint gate(const dbw_demand *demand, const dbw_limits *limits, uint8_t
         return (setpoint){.throttle = 0.0f,
                           .brake_pressure = pressure_or(limits->holding_brake_pressure, full_brake_pressure)};
     default:
-        return (setpoint){.throttle = 0.0f,
-                          .brake_pressure = steered ? steered_brake_pressure : full_brake_pressure};
+        return (setpoint){.throttle = 0.0f, .brake_pressure = steered ? steered_brake_pressure : full_brake_pressure};
     }
 }
 
