@@ -51,7 +51,7 @@ SETTLED_US = 500_000
 """A car that stops rocks on its tyres, so that its speed passes through zero several times in half a second."""
 
 STEERED_BRAKE_KPA = 3500.0  # the least that a full brake is
-FULL_BRAKE_PA = 4.5e6
+FULL_BRAKE_PA, STEERED_BRAKE_PA = 4.5e6, 3.5e6
 
 _BUSY = """
 import os, sys, time
@@ -107,9 +107,11 @@ class Witness:
 WITNESSES = {
     # The Raptor hears a full brake on CAN1.
     "obc": Witness(("brake_pressure_cmd",), lambda signals: signals["brake_pressure_cmd"] >= STEERED_BRAKE_KPA),
-    # The Space Drive hears on CAN3 as much: count 0 would be 6000 kPa, the middle of the scale none.
+    # The Space Drive hears on CAN3 as much: count 0 would be 6000 kPa, the middle of the scale none. Half a count is
+    # rounding.
     "raptor": Witness(
-        ("req_brake_pos",), lambda signals: signals["contrl_pos_brk"] <= 0x4000 * (1.0 - STEERED_BRAKE_KPA / 6000.0)
+        ("req_brake_pos",),
+        lambda signals: signals["contrl_pos_brk"] <= 0.5 + 0x4000 * (1.0 - STEERED_BRAKE_KPA / 6000.0),
     ),
     # The Space Drive tells on CAN3 that it brakes by itself, in one of both messages in every cycle.
     "space-drive": Witness(("stat_steer_1", "stat_brk_1"), lambda signals: signals["emr_brk"] == 1),
