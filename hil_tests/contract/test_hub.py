@@ -14,6 +14,7 @@ import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from select import select
 
 import can
 import pytest
@@ -347,6 +348,20 @@ def test_stamps_are_those_of_sending_however_late_the_hub_is(hub: Hub):
         hub.process.send_signal(signal.SIGCONT)
         (frame,) = receiver.frames()
         assert before_us - 1000 <= frame.time_us <= after_us + 1000
+
+
+def test_last_words_are_heard_of_who_leaves_without_having_read_all(hub: Hub):
+    """The kernel resets a connection that is closed with something unread; what was sent before it is still there."""
+    with stations(hub, Bus.CAN1, Bus.CAN1) as (leaver, listener):
+        listener.send(data_frame(Bus.CAN1, 1))
+        until(lambda: select([leaver.socket], [], [], 0.0)[0], "the frame that is never read")
+        hub.process.send_signal(signal.SIGSTOP)
+        state = Path(f"/proc/{hub.process.pid}/stat")
+        until(lambda: state.read_text().rpartition(")")[2].split()[0] == "T", "the hub to stop")
+        leaver.send(data_frame(Bus.CAN1, 2))
+        leaver.socket.close()
+        hub.process.send_signal(signal.SIGCONT)
+        assert [frame.id for frame in listener.frames()] == [2]
 
 
 def test_error_frames_reach_everybody_whatever_the_filters(hub: Hub):

@@ -222,7 +222,8 @@ void local_server_read(local_server *self, uint32_t place, local_packet *packet)
     struct msghdr message = {
         .msg_iov = &vector, .msg_iovlen = 1, .msg_control = &control, .msg_controllen = sizeof control};
     const ssize_t size = recvmsg(station->fd, &message, MSG_DONTWAIT);
-    if (size < 0 && (errno == EAGAIN || errno == EINTR)) {
+    /* Who closes with something unread resets the connection, which is told once; its last packets are still there. */
+    if (size < 0 && (errno == EAGAIN || errno == EINTR || errno == ECONNRESET)) {
         return;
     }
     if (size <= 0) {
