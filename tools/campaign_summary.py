@@ -131,7 +131,8 @@ def show_summary(summary: Mapping[str, Any], again: str, console: Console) -> No
     for name in sorted({one["property"] for _, one in found}):
         console.print(f"{name}: {escape(properties()[name].text)}")
     state = f"[red]{len(summary['violations'])} of them break a property[/red]" if found else "no property broken"
-    console.print(f"{summary['runs']} runs of {len(summary['faults'])} faults: {state}")
+    faults = len(summary["faults"])
+    console.print(f"{summary['runs']} runs of {faults} fault{'s' if faults > 1 else ''}: {state}")
     console.print(f"Results SHA-256\n  {summary['results_sha256']}")
 
 

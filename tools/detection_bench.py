@@ -10,14 +10,11 @@ processor, so that what else runs on the machine is not counted; those of the wa
 
 from __future__ import annotations
 
-import argparse
 import gc
 import statistics
 import sys
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +33,7 @@ from scenarios import DIRECTORY
 from tools.boundary_mismatch import FOUND_M, MISMATCHES, Mismatch, evaluate, make_drives
 from tools.exit_status import ExitStatus
 from tools.lidar_scene import LidarScene, Scan
+from tools.scan_bench import LATERAL, Times, parse, scenes
 
 TARGET_FILTER_MS = 1.0  # mean of geofence and ground filter together
 TARGET_CLUSTERING_MS = 2.0  # mean
@@ -46,35 +44,6 @@ _RANGES_M = ((0, 25), (25, 50), (50, 80))
 
 #: Runs of ours for one of the peers.
 _RUNS = 20
-
-#: Cars of each scan: stations from the car with the LiDARs on, and lateral offsets, m.
-_CARS = (
-    ((20.0, 2.0),),
-    ((38.0, -3.0), (66.0, 3.0)),
-    ((-1.0, 3.0), (70.0, 0.0)),
-    ((8.0, 0.5), (30.0, -2.0), (-12.0, 3.0)),
-    (),
-)
-
-
-Result = TypeVar("Result")
-
-
-@dataclass
-class Times:
-    """Times of one piece of work, ms."""
-
-    name: str
-    cpu: list[float] = field(default_factory=list)
-    wall: list[float] = field(default_factory=list)
-
-    def take(self, work: Callable[..., Result], *arguments: object) -> Result:
-        """Do the work once and add its times."""
-        wall, cpu = time.perf_counter_ns(), time.process_time_ns()
-        result = work(*arguments)
-        self.cpu.append((time.process_time_ns() - cpu) * 1e-6)
-        self.wall.append((time.perf_counter_ns() - wall) * 1e-6)
-        return result
 
 
 class PlainGeofence:
@@ -144,10 +113,8 @@ def make_scans(track: Track, count: int) -> list[Scan]:
     """Scans from all around the lap."""
     scene = LidarScene(track)
     scans = []
-    for number in range(count):
-        station = (number + 0.5) * track.length / count
-        cars = [(station + ahead, lateral) for ahead, lateral in _CARS[number % len(_CARS)]]
-        scans.append(scene.scan(station, -1.0, cars, seed=number))
+    for number, (station, cars) in enumerate(scenes(track, count)):
+        scans.append(scene.scan(station, LATERAL, cars, seed=number))
     return scans
 
 
@@ -319,13 +286,7 @@ def _spread(values: list[float]) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Command line; returns the exit status."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--scans", type=int, default=15, metavar="N", help="scans around the lap (default: 15)")
-    parser.add_argument("--rounds", type=int, default=5, metavar="N", help="times through all of them (default: 5)")
-    options = parser.parse_args(arguments)
-    for name in ("scans", "rounds"):
-        if getattr(options, name) < 1:
-            parser.error(f"--{name} is {getattr(options, name)}; must be at least 1")
+    options = parse(__doc__, 5, arguments)
     try:
         import sklearn.cluster  # noqa: F401, PLC0415
 

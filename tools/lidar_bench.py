@@ -5,7 +5,6 @@ Times are those of the processor, so that what else runs on the machine is not c
 
 from __future__ import annotations
 
-import argparse
 import gc
 import math
 import statistics
@@ -25,26 +24,16 @@ from bridge.sensors.spatial_lidar import BeamPattern, Motion, SpatialLidar
 from bridge.sensors.surfaces import ASPHALT, track_mesh
 from dbc.errors import RaceloopError
 from scenarios import DIRECTORY
-from tools.detection_bench import Times
 from tools.exit_status import ExitStatus
 from tools.lidar_scene import AXLE_HEIGHT, COLUMNS, ELEVATION_DEG, LINES, LidarScene
+from tools.scan_bench import LATERAL, Times, parse, scenes
 
 TARGET_MS = 3.0  # mean
 SPEED = 60.0  # m/s, of all cars
-LATERAL = -1.0  # m, of the car with the LiDARs
 RANGE_MAX = 220.0  # m, as far as numpy looks
 
 #: Runs of ours for one of the reference.
 _RUNS = 20
-
-#: Cars of each scan: stations from the car with the LiDARs on, and lateral offsets, m.
-CARS = (
-    ((20.0, 2.0),),
-    ((38.0, -3.0), (66.0, 3.0)),
-    ((-1.0, 3.0), (70.0, 0.0)),
-    ((8.0, 0.5), (30.0, -2.0), (-12.0, 3.0)),
-    (),
-)
 
 
 @dataclass
@@ -95,9 +84,7 @@ def measure(track: Track, scans: int, rounds: int) -> Measurement:
             result = Measurement()
         gc.collect()
         gc.disable()
-        for index in range(scans):
-            station = (index + 0.5) * track.length / scans
-            others = [(station + ahead, lateral) for ahead, lateral in CARS[index % len(CARS)]]
+        for index, (station, others) in enumerate(scenes(track, scans)):
             fast, still = (
                 [driving(track, *place, speed) for place in ((station, LATERAL), *others)] for speed in (SPEED, 0.0)
             )
@@ -151,13 +138,7 @@ def show(console: Console, result: Measurement, scans: int) -> bool:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Command line; returns the exit status."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--scans", type=int, default=15, metavar="N", help="scans around the lap (default: 15)")
-    parser.add_argument("--rounds", type=int, default=3, metavar="N", help="times through all of them (default: 3)")
-    options = parser.parse_args(arguments)
-    for name in ("scans", "rounds"):
-        if getattr(options, name) < 1:
-            parser.error(f"--{name} is {getattr(options, name)}; must be at least 1")
+    options = parse(__doc__, 3, arguments)
     try:
         track = load_track(DIRECTORY / "tracks" / "lvms.yaml")
     except RaceloopError as error:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from autonomy.detection.cloud import Pose
+from autonomy.detection.radar import RadarConfig
 from autonomy.detection.road_objects import ROAD_OBJECT_DTYPE, RoadObjects, Sensor, no_objects
 from autonomy.frenet import FloatArray
 from autonomy.opponents.tracker import Scan
@@ -59,7 +60,7 @@ class FusionConfig:
 
     gate_probability: float = 0.99
     stale_us: int = 100_000
-    mount_x: float = 1.784 - 1.247
+    mount_x: float = RadarConfig.mount_x
     acceleration: float = 10.0
     objects: int = 64
 

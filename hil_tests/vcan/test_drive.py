@@ -153,7 +153,7 @@ def test_full_brake_is_on_the_bus_before_the_launch_and_at_the_end(drive: Drive)
     pressure = drive.values("brake_pressure_cmd", "brake_pressure_cmd")
     assert pressure[0] == FULL_BRAKE_KPA
     assert min(pressure) < 0.5 * FULL_BRAKE_KPA
-    assert min(pressure[-5:]) >= STEERED_BRAKE_KPA
+    assert set(pressure[-5:]) <= {STEERED_BRAKE_KPA, FULL_BRAKE_KPA}
 
 
 def test_candump_and_the_recording_have_the_same_frames(drive: Drive) -> None:
