@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -31,7 +32,7 @@ from tools.realtime_summary import stations_summary
 from tools.recorded import Recorded
 from tools.run import SUMMARY, conclude, load_road
 from tools.safety_summary import safety_summary
-from tools.stop_signal import asked_to_stop_is_ctrl_c, not_to_be_stopped
+from tools.stop_signal import asked_to_stop_is_ctrl_c, never_interrupted
 from tools.summary import driving_summary, event_summary, show_summary, write_summary
 
 CYCLES = "cycles"
@@ -65,12 +66,9 @@ def run_realtime(scenario: Scenario, folder: Path, console: Console, options: Re
         if warning:
             _say("raceloop", warning)
         course = _Course(run, scenario)
-        try:
+        with never_interrupted() as asked_to_stop:
             _announce(run, console)
-            course.follow(console)
-        except KeyboardInterrupt:
-            course.interrupted = True
-        with not_to_be_stopped():
+            course.follow(console, asked_to_stop)
             recording = run.finish(folder / CYCLES)
             assert recording is not None
             summary = _summary(run, course, recording, folder)
@@ -115,11 +113,14 @@ class _Course:
         """The scenario's finish was reached, and nothing failed."""
         return self.ending is Ending.FINISHED and not self.failures
 
-    def follow(self, console: Console) -> None:
-        """Look at the run until it is over."""
+    def follow(self, console: Console, asked_to_stop: Callable[[], bool]) -> None:
+        """Look at the run until it is over, or somebody asks to stop it."""
         run = self._run
         with ProgressBar(console, self._scenario.name, self._scenario.time_limit_us) as bar:
             while self.ending is None and not self._watch.over(self.ended_us, self._car_stands()):
+                self.interrupted = asked_to_stop()
+                if self.interrupted:
+                    return
                 all_ended = run.poll()
                 self.ending = run.ending
                 for ended in all_ended:

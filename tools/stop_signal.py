@@ -23,11 +23,21 @@ def asked_to_stop_is_ctrl_c() -> Iterator[None]:
 
 
 @contextmanager
-def not_to_be_stopped() -> Iterator[None]:
-    """Ignore both for the short time in which what was recorded is put into place."""
-    before = {number: signal.signal(number, signal.SIG_IGN) for number in (signal.SIGINT, signal.SIGTERM)}
+def never_interrupted() -> Iterator[Callable[[], bool]]:
+    """Give a function that tells whether one of them has come in; whatever runs goes on, however often they come.
+
+    An exception out of a signal comes between any two instructions: what has just taken a lock may never return it,
+    and what has just taken frames from a bus may lose them.
+    """
+    came = False
+
+    def note(_number: int, _frame: FrameType | None) -> None:
+        nonlocal came
+        came = True
+
+    before = {number: signal.signal(number, note) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
-        yield
+        yield lambda: came
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)

@@ -90,6 +90,7 @@ class RealTimeCommand:
             stderr=subprocess.PIPE,
             text=True,
             cwd=folder.parent,
+            env={**os.environ, "PYTHONFAULTHANDLER": "1"},  # `wait` asks one that hangs where it is
         )
         self.errors: list[str] = []
         self.output: list[str] = []
@@ -151,8 +152,19 @@ class RealTimeCommand:
         return shlex.split(lines()[0])
 
     def wait(self) -> int:
-        """Wait until it ends; returns its exit status."""
-        status = self.process.wait(BOUND_S)
+        """Wait until it ends; returns its exit status. One that hangs is made to tell where, with its children."""
+        try:
+            status = self.process.wait(BOUND_S)
+        except subprocess.TimeoutExpired:
+            left = children_of(self.process.pid)
+            for process in (*left.values(), self.process.pid):
+                os.kill(process, signal.SIGABRT)
+            self.process.wait(BOUND_S)
+            until(lambda: not any(map(alive, left.values())), "the children to end")
+            said = "\n".join(self.errors)
+            raise AssertionError(
+                f"has not ended within {BOUND_S} s; left are {sorted(left)}; it said\n{said}"
+            ) from None
         for reader in self._readers:
             reader.join(BOUND_S)
         return status
