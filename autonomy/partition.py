@@ -52,6 +52,8 @@ class AutonomyPartition:
         self._estimation = NodeWriter(NodeId.ESTIMATION)
         self._planning = NodeWriter(NodeId.PLANNING)
         self._wall = WallNode(track)
+        #: The newest; None before the first.
+        self.estimate: Estimate | None = None
         self._launched = False
         self._next_plan_us = 0
         self._portions: list[bytes] = []
@@ -98,7 +100,7 @@ class AutonomyPartition:
 
     def _localise(self, now_us: int) -> bytes:
         """Frames of estimation and planning."""
-        estimate = self._localiser.step(now_us, self._inbox.imu(), *self._inbox.gnss())
+        estimate = self.estimate = self._localiser.step(now_us, self._inbox.imu(), *self._inbox.gnss())
         if estimate is None:
             return self._status(NodeStatus.INITIALIZED, 0.0, NodeStatus.INITIALIZED, 0.0)
         self._estimation.heartbeat += 1

@@ -63,6 +63,13 @@ def _dispatch(options: argparse.Namespace, console: Console) -> int:
         return _jitter(options, console)
     if options.command == "dbw":
         return _dbw(options, console)
+    if options.command == "eval":
+        from bridge.scenario import load_scenario  # noqa: PLC0415
+        from tools.perception_eval import evaluate_perception  # noqa: PLC0415
+        from tools.run import find_scenario  # noqa: PLC0415
+
+        scenario = load_scenario(find_scenario(options.scenario))
+        return evaluate_perception(scenario, options.seed, console, options.out, options.seconds)
     from tools.bench import bench  # noqa: PLC0415
 
     return bench(console, options.repeats, options.simulated_s)
@@ -312,6 +319,14 @@ def make_parser() -> argparse.ArgumentParser:
     for task in (encode, decode, check, monitor, schedule):
         task.add_argument("--profile", default=DEFAULT_PROFILE, help=f"layout of CAN1 (default: {DEFAULT_PROFILE})")
 
+    evaluate = commands.add_parser("eval", help="how good a part of the stack is, against the truth")
+    parts = evaluate.add_subparsers(dest="eval_part", required=True)
+    perception = parts.add_parser("perception", help="detection, tracking and prediction on a drive with another car")
+    perception.add_argument("scenario", nargs="?", metavar="SCENARIO", help="file or name (default: solo_lap)")
+    perception.add_argument("--seed", type=_seed, default=1, metavar="N", help="of the sensors (default: 1)")
+    perception.add_argument("--seconds", type=_positive, metavar="S", help="of the drive (default: all of it)")
+    perception.add_argument("--out", type=Path, metavar="FILE", help="all figures as JSON (default: none)")
+
     bench = commands.add_parser("bench", help="measure the loop against the plain loop a user would write")
     bench.add_argument("--repeats", type=_count, default=5, help="pairs of runs (default: 5)")
     bench.add_argument(
@@ -359,6 +374,12 @@ def _priority(text: str) -> int:
 def _port(text: str) -> int:
     if not text.isdecimal() or int(text) > 65535:
         raise argparse.ArgumentTypeError(f"is {text!r}; must be a whole number from 0 to 65535")
+    return int(text)
+
+
+def _seed(text: str) -> int:
+    if not text.isdecimal():
+        raise argparse.ArgumentTypeError(f"is {text!r}; must be a whole number of at least 0")
     return int(text)
 
 

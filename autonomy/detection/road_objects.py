@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import IntFlag
 
 import numpy as np
 from numpy.typing import NDArray
 
+from autonomy.detection.cloud import Pose
 from autonomy.detection.cross_check import VehicleShape
 from autonomy.detection.detector import Detections
 from autonomy.frenet import FloatArray
@@ -77,6 +79,31 @@ def lidar_objects(
     objects["confidence"] = np.where(cars.fits, belief.confidence, belief.other_confidence)
     objects["sensors"] = Sensor.LIDAR
     return objects
+
+
+def levelled(objects: RoadObjects, height: FloatArray, pose: Pose) -> RoadObjects:
+    """Objects as seen from above.
+
+    The vehicle frame lies on a banked road: what is measured in it is longer than on a map, by 7 percent at 21 degrees,
+    and what is far ahead in a turn has left its plane.
+
+    Parameters
+    ----------
+    objects : in the vehicle frame.
+    height : shape (n,), m, of each above the frame's plane.
+    pose : roll and pitch of the frame.
+    """
+    level = objects.copy()
+    cos_pitch, sin_pitch = math.cos(pose.pitch), math.sin(pose.pitch)
+    cos_roll, sin_roll = math.cos(pose.roll), math.sin(pose.roll)
+    # The first two rows of the turn by roll, then by pitch.
+    turn = np.array([[cos_pitch, sin_pitch * sin_roll, sin_pitch * cos_roll], [0.0, cos_roll, -sin_roll]])
+    level["x"], level["y"] = turn @ np.stack((objects["x"], objects["y"], height))
+    plane = turn[:, :2]
+    along, across = plane @ np.stack((np.cos(objects["yaw"]), np.sin(objects["yaw"])))
+    level["yaw"] = np.arctan2(across, along)
+    level["covariance"] = plane @ objects["covariance"] @ plane.T
+    return level
 
 
 def turned(angle: FloatArray, variance: FloatArray) -> FloatArray:

@@ -10,7 +10,8 @@ import pytest
 import scenarios
 from autonomy.detection.road_objects import RoadObjects, Sensor, no_objects
 from autonomy.track_files import load_track
-from tools.fusion_bench import BINS_M, MATCH_M, SOURCES, Sample, average_precision, evaluate, main, make_samples
+from tools.detection_score import BINS_M, MATCH_M, SOURCES, Sample, average_precision, evaluate
+from tools.fusion_bench import main, make_samples
 
 
 def by_recall(verdicts: list[tuple[float, bool]], cars: int) -> float:

@@ -14,7 +14,7 @@ from bridge.sensors.radar import RadarErrors
 from dbc.buses import DIRECTORY
 from dbc.network import load_database
 from dbc.radar_tracks import wire_limits
-from tools.fusion_bench import BINS_M, MATCH_M, SOURCES
+from tools.detection_score import BINS_M, MATCH_M, SOURCES
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs" / "radar.md").read_text()

@@ -1,0 +1,186 @@
+"""Perception of other cars as one step: LiDAR scans, radar tracks and the own motion in, tracks and predictions out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import IntEnum
+from typing import NamedTuple
+
+import numpy as np
+
+from autonomy.detection.boundary_estimate import BoundaryEstimate
+from autonomy.detection.cloud import DetectionStatus, Pose, check_cloud
+from autonomy.detection.detector import DetectionConfig, Detections, Detector
+from autonomy.detection.fusion import Fused, Fusion, SensorObjects, scan_of
+from autonomy.detection.motion_compensation import LidarScan, MotionCompensation
+from autonomy.detection.radar import OwnMotion, RadarDetections, RadarDetector, RadarStatus
+from autonomy.detection.road_objects import RoadObjects, levelled, lidar_objects
+from autonomy.opponents.imm_pdaf import SensorModel
+from autonomy.opponents.prediction import OpponentPredictor, Prediction
+from autonomy.opponents.tracker import OpponentTracker, ScanStatus, TrackedObject
+from autonomy.status import NodeStatus
+from autonomy.track import Track
+
+#: Tracks and predictions leave that often: 50 Hz (paper, tracking).
+OUTPUT_PERIOD_US = 20_000
+#: Three scans: as long without one of a sensor, and its detection says that it fails.
+SILENCE_US = 150_000
+
+_GOOD_SCANS = {DetectionStatus.OK, DetectionStatus.TOO_MANY_OBJECTS}
+_GOOD_RADAR = {RadarStatus.OK, RadarStatus.EMPTY}
+
+
+class Source(IntEnum):
+    """Sensors of perception."""
+
+    LIDAR = 0
+    RADAR = 1
+
+
+@dataclass(frozen=True)
+class PerceptionConfig:
+    """What can be chosen of the chain as a whole; figures ours.
+
+    Attributes
+    ----------
+    detection : thresholds of LiDAR detection.
+    estimate_boundary : whether the walls that are seen tighten the geofence.
+    compensation : of the motion within a scan.
+    middle : m, of what is seen of a car over the road.
+    fused, radar_alone : how much a car is in a scan of both sensors, and of the radar alone, and how much is not.
+    wait_us : for which radar objects wait for a LiDAR scan to be fused with; then they are used alone.
+    """
+
+    detection: DetectionConfig = field(default_factory=DetectionConfig)
+    estimate_boundary: bool = True
+    compensation: MotionCompensation = field(default_factory=MotionCompensation)
+    middle: float = 0.5
+    fused: SensorModel = field(default_factory=lambda: SensorModel("fused", 0.8, 1.0e-3))
+    radar_alone: SensorModel = field(default_factory=lambda: SensorModel("radar", 0.6, 1.0e-3))
+    wait_us: int = 30_000
+
+
+@dataclass(frozen=True)
+class Perceived:
+    """What one tick gave; None where nothing was due.
+
+    Attributes
+    ----------
+    time_us : of the tick.
+    lidar, radar : what became of a scan that came in.
+    lidar_objects : of that scan, at its end and as seen from above; empty unless it could be used.
+    fused : objects that went to the tracker, and what it made of them.
+    tracks, predictions : 50 times a second, for this time.
+    """
+
+    time_us: int
+    lidar: Detections | None = None
+    radar: RadarDetections | None = None
+    lidar_objects: RoadObjects | None = None
+    fused: Fused | None = None
+    used: ScanStatus | None = None
+    tracks: list[TrackedObject] | None = None
+    predictions: list[Prediction] | None = None
+
+
+class _Heard(NamedTuple):
+    """Radar objects that wait for a LiDAR scan, and the pose of the car when they were measured."""
+
+    objects: SensorObjects
+    pose: Pose
+
+
+class Perception:
+    """Detection, fusion, tracking and prediction in a row; `step` never raises, whatever the sensors give.
+
+    Parameters
+    ----------
+    track : on which the car drives.
+    config : see there.
+
+    Raises
+    ------
+    ValueError
+        When the track cannot be fenced in (`Geofence`).
+    """
+
+    def __init__(self, track: Track, config: PerceptionConfig | None = None) -> None:
+        self.config = config = config or PerceptionConfig()
+        boundary = BoundaryEstimate(track) if config.estimate_boundary else None
+        self._detector = Detector(track, config.detection, boundary)
+        self._radar_detector = RadarDetector(track)
+        self._fusion = Fusion()
+        self._tracker = OpponentTracker()
+        self._predictor = OpponentPredictor(track)
+        self._heard: _Heard | None = None
+        self._good_us: dict[Source, int | None] = dict.fromkeys(Source)
+        self._output = -1
+
+    def step(
+        self,
+        now_us: int,
+        motion: OwnMotion | None,
+        scan: LidarScan | None = None,
+        radar: object | None = None,
+    ) -> Perceived:
+        """One tick.
+
+        Parameters
+        ----------
+        now_us : time of the tick.
+        motion : of the car now, as estimated; None as long as there is no estimate: scans are then of no use.
+        scan : of the LiDARs, that ended in this tick.
+        radar : TRACK_DTYPE, tracks of this tick.
+        """
+        found = heard = objects = fused = used = tracks = predictions = None
+        if motion is not None:
+            if radar is not None:
+                heard = self._radar_detector.step(now_us, radar, motion)
+                if heard.status in _GOOD_RADAR:
+                    self._good_us[Source.RADAR] = now_us
+                    self._heard = _Heard(SensorObjects(now_us, heard.objects), motion.pose)
+            if scan is not None:
+                found, objects = self._look(scan, motion)
+                if found.status in _GOOD_SCANS:
+                    self._good_us[Source.LIDAR] = now_us
+                    both = SensorObjects(now_us, objects), self._heard and self._heard.objects
+                    fused = self._fusion.step(now_us, *both, motion.yaw_rate)
+                    used = self._tracker.update(now_us, scan_of(fused, motion.pose), self.config.fused)
+                    self._heard = None
+            if self._heard is not None and now_us - self._heard.objects.time_us >= self.config.wait_us:
+                fused = self._fusion.step(now_us, None, self._heard.objects)
+                used = self._tracker.update(now_us, scan_of(fused, self._heard.pose), self.config.radar_alone)
+                self._heard = None
+        if now_us // OUTPUT_PERIOD_US != self._output:
+            self._output = now_us // OUTPUT_PERIOD_US
+            tracks = self._tracker.objects(now_us)
+            predictions = self._predictor.step(now_us, tracks)
+        return Perceived(now_us, found, heard, objects, fused, used, tracks, predictions)
+
+    def status(self, now_us: int, source: Source) -> NodeStatus:
+        """Status of the detection with a sensor: INITIALIZED before its first good scan, ERROR without one for long."""
+        good_us = self._good_us[source]
+        if good_us is None:
+            return NodeStatus.INITIALIZED
+        return NodeStatus.ERROR if now_us - good_us > SILENCE_US else NodeStatus.OK
+
+    def _look(self, scan: LidarScan, motion: OwnMotion) -> tuple[Detections, RoadObjects]:
+        compensation = self.config.compensation
+        cloud: object = scan.cloud
+        if check_cloud(cloud) is DetectionStatus.OK:
+            if not _has_ages(scan):
+                cloud = None
+            elif motion.plausible:
+                cloud = compensation.cloud(scan, motion.vx, motion.vy, motion.yaw_rate)
+        found = self._detector.step(cloud, motion.pose)
+        objects = compensation.objects(lidar_objects(found), motion.vx, motion.vy)
+        if not motion.pose.finite:
+            return found, objects
+        middle = 0.5 * (found.objects["z_low"] + found.objects["z_high"]).astype(np.float64)
+        return found, levelled(objects, middle - self.config.middle, motion.pose)
+
+
+def _has_ages(scan: LidarScan) -> bool:
+    """Whether each point has a time; a point without one can be anywhere."""
+    age: object = scan.age
+    return isinstance(age, np.ndarray) and age.shape == scan.cloud.shape[:1] and bool(np.isfinite(age).all())
