@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from autonomy.detection.boundary_estimate import BoundaryEstimate
 from autonomy.detection.cloud import DetectionStatus, Pose, check_cloud
@@ -14,7 +15,7 @@ from autonomy.detection.detector import DetectionConfig, Detections, Detector
 from autonomy.detection.fusion import Fused, Fusion, SensorObjects, scan_of
 from autonomy.detection.motion_compensation import LidarScan, MotionCompensation
 from autonomy.detection.radar import OwnMotion, RadarDetections, RadarDetector, RadarStatus
-from autonomy.detection.road_objects import RoadObjects, levelled, lidar_objects
+from autonomy.detection.road_objects import RoadObjects, levelled, lidar_objects, no_objects
 from autonomy.opponents.imm_pdaf import SensorModel
 from autonomy.opponents.prediction import OpponentPredictor, Prediction
 from autonomy.opponents.tracker import OpponentTracker, ScanStatus, TrackedObject
@@ -114,6 +115,8 @@ class Perception:
         self._predictor = OpponentPredictor(track)
         self._heard: _Heard | None = None
         self._good_us: dict[Source, int | None] = dict.fromkeys(Source)
+        self._last_cloud: object = None
+        self._last_tracks: object = None
         self._output = -1
 
     def step(
@@ -135,7 +138,7 @@ class Perception:
         found = heard = objects = fused = used = tracks = predictions = None
         if motion is not None:
             if radar is not None:
-                heard = self._radar_detector.step(now_us, radar, motion)
+                heard = self._listen(now_us, radar, motion)
                 if heard.status in _GOOD_RADAR:
                     self._good_us[Source.RADAR] = now_us
                     self._heard = _Heard(SensorObjects(now_us, heard.objects), motion.pose)
@@ -164,9 +167,20 @@ class Perception:
             return NodeStatus.INITIALIZED
         return NodeStatus.ERROR if now_us - good_us > SILENCE_US else NodeStatus.OK
 
+    def _listen(self, now_us: int, tracks: object, motion: OwnMotion) -> RadarDetections:
+        before, self._last_tracks = self._last_tracks, tracks
+        # One bit toggles with each scan, so the same tracks are the same scan. Without tracks there is no bit.
+        if isinstance(tracks, np.ndarray) and tracks.size and _same(tracks, before):
+            return RadarDetections.nothing(RadarStatus.FROZEN)
+        return self._radar_detector.step(now_us, tracks, motion)
+
     def _look(self, scan: LidarScan, motion: OwnMotion) -> tuple[Detections, RoadObjects]:
         compensation = self.config.compensation
         cloud: object = scan.cloud
+        before, self._last_cloud = self._last_cloud, cloud
+        # Noise makes each scan another one, to the last bit.
+        if isinstance(cloud, np.ndarray) and cloud.size and _same(cloud, before):
+            return Detections.nothing(DetectionStatus.FROZEN), no_objects()
         if check_cloud(cloud) is DetectionStatus.OK:
             if not _has_ages(scan):
                 cloud = None
@@ -178,6 +192,13 @@ class Perception:
             return found, objects
         middle = 0.5 * (found.objects["z_low"] + found.objects["z_high"]).astype(np.float64)
         return found, levelled(objects, middle - self.config.middle, motion.pose)
+
+
+def _same(array: NDArray[Any], before: object) -> bool:
+    """Whether two arrays hold the same bytes."""
+    if not isinstance(before, np.ndarray) or array.dtype != before.dtype or array.shape != before.shape:
+        return False
+    return array.tobytes() == before.tobytes()
 
 
 def _has_ages(scan: LidarScan) -> bool:

@@ -39,6 +39,8 @@ class DetectionStatus(IntEnum):
     """Clustering would take too long."""
     TOO_MANY_OBJECTS = 8
     """Only the nearest objects are there."""
+    FROZEN = 9
+    """The points are those of the scan before; `Perception` says so, as a scan alone does not tell."""
 
 
 @dataclass(frozen=True)

@@ -45,6 +45,13 @@ class Detections:
     cars: CrossCheck
     boundary: BoundaryStatus | None = None
 
+    @classmethod
+    def nothing(cls, status: DetectionStatus) -> Detections:
+        """No objects, and why."""
+        none = np.empty(0)
+        cars = CrossCheck(none, none, none, none.astype(np.bool_), np.empty((0, 2)))
+        return cls(status, np.empty(0, dtype=OBJECT_DTYPE), cars)
+
 
 class Detector:
     """Geofence, ground removal, clustering and cross-check in a row.
@@ -96,14 +103,14 @@ class Detector:
     def _detect(self, cloud: object, pose: Pose) -> Detections:
         status = check_cloud(cloud)
         if status is not DetectionStatus.OK:
-            return _nothing(status)
+            return Detections.nothing(status)
         if not pose.finite:
-            return _nothing(DetectionStatus.BAD_POSE)
+            return Detections.nothing(DetectionStatus.BAD_POSE)
         points: Cloud = np.asarray(cloud)
         inside, fenced = self._geofence.apply(points, pose, out=self._room)
         self.not_finite += fenced.not_finite
         if fenced.not_finite == len(points):
-            return _nothing(DetectionStatus.NOTHING_FINITE)
+            return Detections.nothing(DetectionStatus.NOTHING_FINITE)
         raised, _ = self._ground_filter.apply(inside, out=self._room)
         walls = None
         if self.boundary is not None:
@@ -126,9 +133,3 @@ class Detector:
         apart = place[:, None, :] - self._line[None, :, :]
         nearest = np.argmin(np.einsum("ijk,ijk->ij", apart, apart), axis=1)
         return np.asarray(self._heading[nearest] - pose.yaw)
-
-
-def _nothing(status: DetectionStatus) -> Detections:
-    objects = np.empty(0, dtype=OBJECT_DTYPE)
-    none = np.empty(0)
-    return Detections(status, objects, CrossCheck(none, none, none, none.astype(np.bool_), np.empty((0, 2))))

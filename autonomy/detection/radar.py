@@ -52,6 +52,8 @@ class RadarStatus(IntEnum):
     """The motion of the car is not finite, or no car's."""
     OUT_OF_ORDER = 7
     """Not later than the last scan."""
+    FROZEN = 8
+    """The tracks are those of the scan before, and so is the bit that toggles; `Perception` says so."""
 
 
 class Verdict(IntEnum):
@@ -128,6 +130,11 @@ class RadarDetections:
     objects: RoadObjects
     verdicts: NDArray[np.uint8]
 
+    @classmethod
+    def nothing(cls, status: RadarStatus) -> RadarDetections:
+        """No objects, and why."""
+        return cls(status, no_objects(), np.empty(0, dtype=np.uint8))
+
 
 class RadarDetector:
     """Plausibility, moving-object test and geofence in a row.
@@ -168,7 +175,7 @@ class RadarDetector:
         status = self._check(time_us, tracks, motion)
         self.scans[status] += 1
         if status not in (RadarStatus.OK, RadarStatus.EMPTY):
-            return RadarDetections(status, no_objects(), np.empty(0, dtype=np.uint8))
+            return RadarDetections.nothing(status)
         self._last_us = time_us
         objects, verdicts = self._detect(np.asarray(tracks), motion)
         self.tracks.update(Verdict(verdict) for verdict in verdicts.tolist())

@@ -186,10 +186,40 @@ def test_all_radar_tracks_valid(track: Track) -> None:
     perception = Perception(track)
     for number, tick in enumerate(drive(track, 20.0)[:40]):
         tracks = tracks_of(TRACKS) if tick.time_us % 50_000 == 30_000 else None
+        if tracks is not None:
+            tracks["rolling_count"] = tick.time_us // 50_000 % 2
         perceived = perception.step(tick.time_us, tick.motion, None, tracks)
         if tracks is not None:
             assert perceived.radar is not None
             assert perceived.radar.status is RadarStatus.OK, number
+
+
+def test_frozen_sensors_are_noticed(track: Track) -> None:
+    """The same bytes again are no scan; the next one that differs is."""
+    perception = Perception(track)
+    first, second = tracks_of(3), tracks_of(3)
+    second["rolling_count"] = 1
+    scans = [LidarScan(cloud(), ages()), LidarScan(cloud(), ages()), LidarScan(cloud(6), ages(6))]
+    statuses = []
+    for number, (scan, tracks) in enumerate(zip(scans, (first, first.copy(), second), strict=True)):
+        tick = drive(track, 20.0)[5 * number]
+        perceived = perception.step(tick.time_us, tick.motion, scan, tracks)
+        assert perceived.lidar is not None
+        assert perceived.radar is not None
+        statuses.append((perceived.lidar.status, perceived.radar.status))
+        assert (perceived.fused is None) is (number == 1)
+    good, frozen = (DetectionStatus.OK, RadarStatus.OK), (DetectionStatus.FROZEN, RadarStatus.FROZEN)
+    assert statuses == [good, frozen, good]
+
+
+def test_frozen_for_long_is_an_error(track: Track) -> None:
+    perception = Perception(track)
+    scan, tracks = LidarScan(cloud(), ages()), tracks_of(3)
+    for tick in drive(track, 20.0)[:30:5]:
+        perception.step(tick.time_us, tick.motion, scan, tracks)
+    assert perception.status(SILENCE_US, Source.LIDAR) is NodeStatus.OK
+    assert perception.status(250_000, Source.LIDAR) is NodeStatus.ERROR
+    assert perception.status(250_000, Source.RADAR) is NodeStatus.ERROR
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf])
@@ -214,9 +244,9 @@ def test_time_that_goes_back_changes_nothing(track: Track) -> None:
     print("seed 3")
     perception = Perception(track)
     seen = look(perception, sense(track, SCENARIO, drive(track, 20.0), 3, ahead(track)))
-    sensed, _ = next(pair for pair in reversed(seen) if pair[0].scan is not None)
+    sensed = [sensed for sensed, _ in seen if sensed.scan is not None][-5]
     before = perception.step(2_000_000, None).tracks
-    again = perception.step(sensed.tick.time_us - 500_000, sensed.tick.motion, sensed.scan)
+    again = perception.step(sensed.tick.time_us, sensed.tick.motion, sensed.scan)
     assert again.used in (ScanStatus.OUT_OF_ORDER, ScanStatus.STALE)
     assert repr(perception.step(2_020_000, None).tracks) != "[]"
     assert before
