@@ -11,11 +11,12 @@ from autonomy.estimation import GnssSample, ImuSample
 from autonomy.geodesy import LocalTangentPlane
 from autonomy.localisation import Estimate
 from autonomy.planning import Plan
+from autonomy.radar_inbox import RadarInbox
 from autonomy.status import NodeId, NodeStatus, SsmStatus, VehicleStatus
 from autonomy.wall_fit import WallFit
 from dbc.codec import MessageCodec, database
 from dbc.errors import CodecError
-from dbc.frames import FRAME_SIZE, FRAME_STRUCT, Buffer
+from dbc.frames import FRAME_SIZE, FRAME_STRUCT, Buffer, Bus
 
 MPH = 0.44704  # m/s
 
@@ -89,9 +90,16 @@ class GnssInbox:
 
 
 class Inbox:
-    """Everything that the partition hears."""
+    """Everything that the partition hears.
+
+    Attributes
+    ----------
+    radar : what came on CAN-R.
+    malformed : frames dropped because they were cut off, too short or not data frames; those of CAN-R do not count.
+    """
 
     def __init__(self, plane: LocalTangentPlane) -> None:
+        self.radar = RadarInbox()
         self._gnss = (GnssInbox("a", plane), GnssInbox("b", plane))
         self._rates = database.message("imu_rates")
         self._force = database.message("imu_specific_force")
@@ -112,9 +120,11 @@ class Inbox:
         whole = len(frames) // FRAME_SIZE * FRAME_SIZE
         self.malformed += len(frames) != whole
         handlers = self._handlers
-        for _, identifier, bus, length, flags, _, data in FRAME_STRUCT.iter_unpack(memoryview(frames)[:whole]):
+        for time_us, identifier, bus, length, flags, _, data in FRAME_STRUCT.iter_unpack(memoryview(frames)[:whole]):
             handler = handlers.get((bus, identifier))
             if handler is None:
+                if bus == Bus.CAN_R:
+                    self.radar.receive(time_us, identifier, length, flags, data)
                 continue
             if flags or length < 8:
                 self.malformed += 1

@@ -1,4 +1,4 @@
-"""The autonomy partition: frames of CAN-S and CAN-A and LiDAR points in, frames of CAN-A out, once per 10 ms."""
+"""The autonomy partition: frames of CAN-S, CAN-A and CAN-R and LiDAR points in, frames of CAN-A out, once per 10 ms."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from autonomy.localisation import Estimate, Localiser, Quality
 from autonomy.messages import EstimateWriter, Inbox, NodeWriter, PlanWriter
 from autonomy.planning import Planner
 from autonomy.race_path import RacePath
+from autonomy.radar_inbox import RadarInbox
 from autonomy.status import NodeId, NodeStatus
 from autonomy.track import Track
 from autonomy.track_files import load_track
@@ -74,13 +75,18 @@ class AutonomyPartition:
         """Frames dropped so far because they were cut off, too short or not data frames."""
         return self._inbox.malformed
 
+    @property
+    def radar(self) -> RadarInbox:
+        """Scans of the front radar, for whoever takes them; no module does yet."""
+        return self._inbox.radar
+
     def tick(self, now_us: int, frames: Buffer, cloud: NDArray[np.float32] | None = None) -> bytes:
         """One minor frame.
 
         Parameters
         ----------
         now_us : simulated time.
-        frames : what arrived on CAN-S and CAN-A since the last tick, 24 bytes each.
+        frames : what arrived on CAN-S, CAN-A and CAN-R since the last tick, 24 bytes each.
         cloud : points of the LiDAR scan of this tick, shape (n, 3), m, vehicle axes; None without one.
 
         Returns

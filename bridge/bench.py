@@ -84,7 +84,7 @@ class Bench:
     surroundings : of the ECUs; closed with the bench.
     autonomy : from outside, see `bridge.interfaces`.
     scenario : that the surroundings were made from; how the run ends.
-    taps : open python-can buses by channel name (CAN1, CAN3, CANA, CANS).
+    taps : open python-can buses by channel name (CAN1, CAN3, CANA, CANS, CANR).
 
     Attributes
     ----------
@@ -257,7 +257,7 @@ class Bench:
             self._injector.sense()
         if self._speaks(Station.SENSORS):
             network.submit(Station.SENSORS, sensed)
-        network.transmit(Bus.CAN_S)
+        network.transmit(Bus.CAN_S, Bus.CAN_R)
 
         # Operator and autonomy.
         if self._speaks(Station.OPERATOR):

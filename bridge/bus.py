@@ -20,12 +20,12 @@ from dbc.frames import FRAME_DTYPE, FRAME_SIZE, Bus, Station
 
 #: Bit rate of each bus in bit/s, as the DBC files state it (a contract test compares).
 BIT_RATES: Mapping[Bus, int] = MappingProxyType(
-    {Bus.CAN1: 500_000, Bus.CAN3: 500_000, Bus.CAN_A: 1_000_000, Bus.CAN_S: 500_000}
+    {Bus.CAN1: 500_000, Bus.CAN3: 500_000, Bus.CAN_A: 1_000_000, Bus.CAN_S: 500_000, Bus.CAN_R: 500_000}
 )
 
 #: Names of the buses as channels of log files and taps.
 CHANNELS: Mapping[Bus, str] = MappingProxyType(
-    {Bus.CAN1: "CAN1", Bus.CAN3: "CAN3", Bus.CAN_A: "CANA", Bus.CAN_S: "CANS"}
+    {Bus.CAN1: "CAN1", Bus.CAN3: "CAN3", Bus.CAN_A: "CANA", Bus.CAN_S: "CANS", Bus.CAN_R: "CANR"}
 )
 
 
@@ -50,7 +50,7 @@ class BusStatistics:
 
 
 class Network:
-    """The four buses and the stations that sit on them.
+    """The buses and the stations that sit on them.
 
     Parameters
     ----------

@@ -100,10 +100,10 @@ def replay_obc(log: NDArray[np.void], database: Codec = car) -> Replay:
     frames["sender"] = _senders(frames, database)
     tick = frames["time_us"] // _TICK_US
     own = frames["sender"] == Station.OBC
-    heard = ~own & (frames["bus"] != Bus.CAN3)
+    heard = ~own & (frames["bus"] != Bus.CAN3) & (frames["bus"] != Bus.CAN_R)
     # CAN1 of the tick before first, then CAN-S, then CAN-A: the order of arrival in the bench.
     delivered = tick + (frames["bus"] == Bus.CAN1)
-    arrival = np.choose(frames["bus"], [0, 9, 2, 1])
+    arrival = np.choose(frames["bus"], [0, 9, 2, 1, 9])
     inbox = frames[heard][np.lexsort((arrival[heard], delivered[heard]))]
     ticks = int(tick[-1]) + 1 if len(tick) else 0
     bounds = np.searchsorted(np.sort(delivered[heard]), np.arange(ticks + 1))

@@ -16,7 +16,7 @@ from bridge.condition import Condition, Situation, Trigger, condition_of, micros
 from bridge.faults.plan import FaultPlan
 from bridge.faults.reading import fault_schema, read_faults
 from bridge.yaml_file import check_schema, read_yaml
-from dbc.buses import DEFAULT_PROFILE
+from dbc.buses import DEFAULT_PROFILE, Bus, car_buses
 from dbc.codec import profile
 from dbc.errors import ConfigurationError
 from dbc.states import TrackFlag, VehicleFlag
@@ -53,7 +53,11 @@ class FlagStep:
 
 @dataclass(frozen=True)
 class Scenario:
-    """One run of the bench. Files are absolute; lengths in m; `profile` is the one of CAN1, see `dbc.buses`."""
+    """One run of the bench.
+
+    Files are absolute; lengths in m; `profile` is the one of CAN1, see `dbc.buses`; with `radar` the car has the front
+    radar, on CAN-R.
+    """
 
     path: Path
     name: str
@@ -72,6 +76,12 @@ class Scenario:
     finish: Condition
     time_limit_us: int
     faults: tuple[FaultPlan, ...] = ()
+    radar: bool = False
+
+    @property
+    def buses(self) -> tuple[Bus, ...]:
+        """Buses of the car."""
+        return car_buses(self.radar)
 
 
 def load_scenario(path: Path) -> Scenario:
@@ -105,6 +115,7 @@ def load_scenario(path: Path) -> Scenario:
         finish=condition_of(content["finish"]),
         time_limit_us=microseconds(content["time_limit_s"]),
         faults=read_faults(path, content.get("faults", []), profile(content.get("profile", DEFAULT_PROFILE))),
+        radar=content.get("radar", False),
     )
 
 

@@ -67,7 +67,7 @@ class Surroundings:
         self.laps = LapTimer(road.length)
         self._safety_switch = SafetySwitch(scenario.safety_switch)
         axle = load_vehicle(scenario.vehicle).get("cg_to_rear_axle", 0.0)
-        self._sensors = SensorSuite(road.origin, scenario.seed, road.walls(), axle)
+        self._sensors = SensorSuite(road.origin, scenario.seed, road.walls(), axle, scenario.radar)
         self._truth_reader = TruthReader(plant.output_names)
         self.truth: Truth
         self.station: float
@@ -100,7 +100,7 @@ class Surroundings:
         )
 
     def sense(self, now_us: int) -> bytes:
-        """Sample the car for the ECUs' wires; returns the frames that sensors have for CAN-S."""
+        """Sample the car for the ECUs' wires; returns the frames that sensors have for CAN-S and CAN-R."""
         self.wiring.sense()
         return self._sensors.emit(now_us, self.truth)
 

@@ -24,7 +24,7 @@ class Taps:
 
     Parameters
     ----------
-    buses : open python-can bus by channel name: CAN1, CAN3, CANA, CANS.
+    buses : open python-can bus by channel name: CAN1, CAN3, CANA, CANS, CANR.
 
     Raises
     ------

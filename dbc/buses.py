@@ -18,10 +18,11 @@ class Bus(IntEnum):
     CAN3 = 1
     CAN_A = 2
     CAN_S = 3
+    CAN_R = 4
 
     @property
     def label(self) -> str:
-        """Name for people and channel name in logs: CAN1, CAN3, CAN-A, CAN-S."""
+        """Name for people: CAN1, CAN3, CAN-A, CAN-S, CAN-R."""
         return self.name.replace("_", "-")
 
 
@@ -37,7 +38,17 @@ class Station(IntEnum):
     OPERATOR = 6
 
 
-_BESIDE_CAN1: Mapping[str, Bus] = {"space_drive": Bus.CAN3, "autonomy": Bus.CAN_A, "sensors": Bus.CAN_S}
+def car_buses(radar: bool = False) -> tuple[Bus, ...]:
+    """Buses of a car; CAN-R is there when it has the radar."""
+    return tuple(bus for bus in Bus if radar or bus is not Bus.CAN_R)
+
+
+_BESIDE_CAN1: Mapping[str, Bus] = {
+    "space_drive": Bus.CAN3,
+    "autonomy": Bus.CAN_A,
+    "sensors": Bus.CAN_S,
+    "radar_esr": Bus.CAN_R,
+}
 
 #: DBC files by profile, then by stem, in the order of their buses. A profile is a public layout of CAN1: V14 is that of
 #: the AV-21, V26 that of the AV-24. The other buses are the same in all. ``enum codec_profile_index`` has this order.

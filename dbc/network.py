@@ -1,4 +1,4 @@
-"""The four buses as their DBC files describe them: loading, checks and the facts that a codec needs.
+"""The five buses as their DBC files describe them: loading, checks and the facts that a codec needs.
 
 Used by the generators and, lazily, by :mod:`dbc.codec`. Depends on cantools only, because the build runs it
 before anything is compiled.
@@ -31,6 +31,7 @@ STATIONS: Mapping[str, Station] = MappingProxyType(
         "GNSS_A": Station.SENSORS,
         "GNSS_B": Station.SENSORS,
         "IMU": Station.SENSORS,
+        "RADAR": Station.SENSORS,
     }
 )
 
@@ -106,7 +107,7 @@ def load_database(path: Path, strict: bool = True) -> Database:
 
 
 def load_network(directory: Path = DIRECTORY, profile: str = DEFAULT_PROFILE) -> list[MessageFacts]:
-    """All messages of a profile's four DBC files, in the order of its table in the codec.
+    """All messages of a profile's DBC files, in the order of its table in the codec.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 """Tracks of an ESR radar as an array in SI units, and the 64 frames that carry them.
 
-The bits are those of ``radar_esr.dbc``, read from there; all tracks are packed at once. The file belongs to no profile
-of :mod:`dbc.buses` yet, so the generated codec does not know it.
+The bits are those of ``radar_esr.dbc``, read from there; all tracks are packed at once, where the generated codec has a
+message of its own for each.
 """
 
 from __future__ import annotations
@@ -14,7 +14,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dbc.buses import DIRECTORY
+from dbc.buses import DIRECTORY, Bus, Station
+from dbc.frames import FRAME_DTYPE
 from dbc.network import load_database, raw_limits
 
 #: Tracks, one frame each.
@@ -105,14 +106,18 @@ def _layout() -> tuple[_Field, ...]:
     return tuple(fields)
 
 
+def _field(column: str) -> _Field:
+    return next(field for field in _layout() if field.column == column)
+
+
 def resolution(column: str) -> float:
     """Step of a column on the wire, in the column's unit."""
-    return abs(next(field.unit for field in _layout() if field.column == column))
+    return abs(_field(column).unit)
 
 
 def wire_limits(column: str) -> tuple[float, float]:
     """Smallest and largest value of a column that the wire carries; what is beyond is sent as these."""
-    field = next(field for field in _layout() if field.column == column)
+    field = _field(column)
     low, high = sorted((field.low * field.unit, field.high * field.unit))
     return low, high
 
@@ -135,12 +140,13 @@ def on_wire(tracks: Tracks) -> Tracks:
     return carried
 
 
-def pack(tracks: Tracks) -> NDArray[np.uint8]:
-    """Data of all track frames; those without a track are zero.
+def pack(tracks: Tracks, rolling_count: int = 0) -> NDArray[np.uint8]:
+    """Data of all track frames; those without a track are zero but for the rolling count.
 
     Parameters
     ----------
     tracks : TRACK_DTYPE, shape (n,), with ids of their own.
+    rolling_count : of the frames without a track, 0 or 1.
 
     Returns
     -------
@@ -155,12 +161,58 @@ def pack(tracks: Tracks) -> NDArray[np.uint8]:
     ids = tracks["id"].astype(np.int64)
     if len(np.unique(ids)) != len(ids) or (len(ids) and not 1 <= ids.min() <= ids.max() <= TRACKS):
         raise ValueError(f"track ids must be different and 1 to {TRACKS}, not {ids.tolist()}")
-    words = np.zeros(TRACKS, dtype=np.uint64)
+    count = _field("rolling_count")
+    words = np.full(TRACKS, (rolling_count & count.high) << count.shift, dtype=np.uint64)
     words[ids - 1] = sum(
         (_bits(field, tracks[field.column]) << np.uint64(field.shift) for field in _layout()),
         start=np.zeros(len(ids), dtype=np.uint64),
     )
     return words.astype(">u8").view(np.uint8).reshape(TRACKS, 8)
+
+
+def track_frames(tracks: Tracks, rolling_count: int) -> bytes:
+    """All track frames of a scan, for CAN-R.
+
+    Parameters
+    ----------
+    tracks : TRACK_DTYPE, shape (n,), with ids of their own and this rolling count.
+    rolling_count : of the scan, 0 or 1.
+
+    Returns
+    -------
+    bytes
+        64 frames of 24 bytes, by identifier.
+
+    Raises
+    ------
+    ValueError
+        As `pack`.
+    """
+    frames = np.zeros(TRACKS, dtype=FRAME_DTYPE)
+    frames["id"] = np.arange(FIRST_ID, FIRST_ID + TRACKS)
+    frames["bus"], frames["sender"], frames["dlc"] = Bus.CAN_R, Station.SENSORS, 8
+    frames["data"] = pack(tracks, rolling_count)
+    return frames.tobytes()
+
+
+def rolling_counts(data: ArrayLike) -> NDArray[np.uint8]:
+    """Rolling count of every frame, of those without a track too.
+
+    Parameters
+    ----------
+    data : uint8, shape (64, 8), as `pack` gives it.
+
+    Returns
+    -------
+    ndarray of uint8, shape (64,)
+
+    Raises
+    ------
+    ValueError
+        When the shape is another.
+    """
+    count = _field("rolling_count")
+    return ((_words(data) >> np.uint64(count.shift)) & np.uint64(count.high)).astype(np.uint8)
 
 
 def unpack(data: ArrayLike) -> Tracks:
@@ -175,10 +227,7 @@ def unpack(data: ArrayLike) -> Tracks:
     ValueError
         When the shape is another.
     """
-    rows = np.ascontiguousarray(data, dtype=np.uint8)
-    if rows.shape != (TRACKS, 8):
-        raise ValueError(f"data must have the shape ({TRACKS}, 8), not {rows.shape}")
-    words = rows.reshape(-1).view(">u8").astype(np.uint64)
+    words = _words(data)
     tracks = np.zeros(TRACKS, dtype=TRACK_DTYPE)
     tracks["id"] = np.arange(1, TRACKS + 1)
     for field in _layout():
@@ -186,6 +235,14 @@ def unpack(data: ArrayLike) -> Tracks:
         raw = ((words >> np.uint64(field.shift)) & np.uint64(span - 1)).astype(np.int64)
         tracks[field.column] = np.where(raw > field.high, raw - span, raw) * field.unit + 0.0  # no -0.0
     return np.asarray(tracks[tracks["status"] != TrackStatus.NO_TARGET])
+
+
+def _words(data: ArrayLike) -> NDArray[np.uint64]:
+    """Data of all track frames as numbers, the first byte being the highest; shape (64,)."""
+    rows = np.ascontiguousarray(data, dtype=np.uint8)
+    if rows.shape != (TRACKS, 8):
+        raise ValueError(f"data must have the shape ({TRACKS}, 8), not {rows.shape}")
+    return rows.reshape(-1).view(">u8").astype(np.uint64)
 
 
 def _steps(field: _Field, values: NDArray[Any]) -> NDArray[np.int64]:

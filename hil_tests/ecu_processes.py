@@ -20,7 +20,7 @@ BUSES = {
     "raptor": (Bus.CAN1, Bus.CAN3),
     "space-drive": (Bus.CAN3,),
 }
-OPTION = {Bus.CAN1: "CAN1", Bus.CAN3: "CAN3", Bus.CAN_A: "CANA", Bus.CAN_S: "CANS"}
+OPTION = {Bus.CAN1: "CAN1", Bus.CAN3: "CAN3", Bus.CAN_A: "CANA", Bus.CAN_S: "CANS", Bus.CAN_R: "CANR"}
 
 
 def mistake_of(name: str, *arguments: str) -> str:

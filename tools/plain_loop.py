@@ -33,12 +33,19 @@ from dbc.frames import FRAME_STRUCT, Bus, Station
 from firmware.parameters import parameter_frames
 from plant_fmu import fmu_path
 
-_FILES = {Bus.CAN1: "raptor", Bus.CAN3: "space_drive", Bus.CAN_A: "autonomy", Bus.CAN_S: "sensors"}
+_FILES = {
+    Bus.CAN1: "raptor",
+    Bus.CAN3: "space_drive",
+    Bus.CAN_A: "autonomy",
+    Bus.CAN_S: "sensors",
+    Bus.CAN_R: "radar_esr",
+}
 _MEMBERS = {
     Bus.CAN1: (Station.OBC, Station.RAPTOR),
     Bus.CAN3: (Station.RAPTOR, Station.SPACE_DRIVE),
     Bus.CAN_A: (Station.AUTONOMY, Station.OPERATOR, Station.OBC),
     Bus.CAN_S: (Station.SENSORS, Station.AUTONOMY, Station.OBC),
+    Bus.CAN_R: (Station.SENSORS, Station.AUTONOMY),
 }
 _OUTBOX = 256
 
@@ -127,13 +134,13 @@ class PlainLoop:
         self._databases: dict[Bus, Database] = {}
         self._codecs: dict[tuple[int, int], MessageCodec] = {}
         self._buses: dict[tuple[Bus, Station], can.BusABC] = {}
-        for bus, members in _MEMBERS.items():
+        for bus in scenario.buses:
             database = cantools.database.load_file(DIRECTORY / f"{_FILES[bus]}.dbc")
             assert isinstance(database, Database)
             self._databases[bus] = database
             for message in database.messages:
                 self._codecs[bus, message.frame_id] = codec_database.message(message.name)
-            for station in members:
+            for station in _MEMBERS[bus]:
                 self._buses[bus, station] = can.Bus(interface="virtual", channel=f"plain {bus.name} {id(self)}")
         self.surroundings = Surroundings(
             plant,  # type: ignore[arg-type]

@@ -221,6 +221,7 @@ def run_summary(
                 "messages": _messages(profile(bench.scenario.profile), bus, delays[bus]),
             }
             for bus, statistics in bench.network.statistics().items()
+            if bus in bench.scenario.buses
         },
         "frames_lost": bench.losses,
         "frame_log_sha256": recording.frame_log_sha256,

@@ -15,9 +15,10 @@ static const uint8_t MEMBERS[CAN_BUS_COUNT] = {
     [CAN_BUS_3] = STATION(RAPTOR) | STATION(SPACE_DRIVE),
     [CAN_BUS_A] = STATION(AUTONOMY) | STATION(OPERATOR) | STATION(OBC),
     [CAN_BUS_S] = STATION(SENSORS) | STATION(AUTONOMY) | STATION(OBC),
+    [CAN_BUS_R] = STATION(SENSORS) | STATION(AUTONOMY),
 };
 
-void network_init(network *self, const uint32_t bit_rates[4])
+void network_init(network *self, const uint32_t bit_rates[CAN_BUS_COUNT])
 {
     memset(self, 0, sizeof *self);
     memcpy(self->members, MEMBERS, sizeof MEMBERS);

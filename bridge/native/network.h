@@ -55,7 +55,7 @@ typedef struct network {
 } network;
 
 /* An empty network with the stations of the car on their buses. bit_rates: bit/s per bus, see can_bus_init. */
-void network_init(network *self, const uint32_t bit_rates[4]);
+void network_init(network *self, const uint32_t bit_rates[CAN_BUS_COUNT]);
 
 /* Start the slot [start_us, end_us): a tick of the bench. Monotonic. */
 void network_begin_slot(network *self, uint64_t start_us, uint64_t end_us);

@@ -1,1 +1,1 @@
-"""Sensor models: the truth of the plant in, CAN-S frames with realistic errors out."""
+"""Sensor models: the truth of the plant in, frames of CAN-S and CAN-R with realistic errors out."""

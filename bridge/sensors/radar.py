@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from bridge.sensors.radar_scene import Floats, Motion, OtherCar, Walls, mounted, nearest_point
 from bridge.sensors.truth import Truth
-from dbc.radar_tracks import TRACK_DTYPE, TRACKS, RangeMode, Tracks, TrackStatus, on_wire, wire_limits
+from dbc.radar_tracks import TRACK_DTYPE, TRACKS, RangeMode, Tracks, TrackStatus, on_wire, track_frames, wire_limits
 
 PERIOD_US = 50_000
 #: The tick of a scan lies between those of GNSS and LiDAR.
@@ -193,8 +193,13 @@ class Tracker:
         for row, number in enumerate(sorted(self._slots)):
             tracks[row] = self._slots[number].values[0]
             tracks[row]["id"], tracks[row]["status"] = number, self._status(self._slots[number])
-        tracks["rolling_count"] = self._scans % 2
+        tracks["rolling_count"] = self.rolling_count
         return tracks
+
+    @property
+    def rolling_count(self) -> int:
+        """Of the newest scan; 0 before the first."""
+        return self._scans % 2
 
     def _coast(self, slot: _Slot) -> bool:
         """Move a track on by its range rate; whether it is still in view."""
@@ -239,6 +244,11 @@ class Radar:
     def due(self, now_us: int) -> bool:
         """Whether a scan belongs to this tick."""
         return now_us % PERIOD_US == PHASE_US
+
+    def emit(self, truth: Truth, cars: Sequence[OtherCar] = ()) -> bytes:
+        """Frames of this tick's scan for CAN-R, see `scan` and `dbc.radar_tracks.track_frames`."""
+        tracks = self.scan(truth, cars)
+        return track_frames(tracks, self._tracker.rolling_count)
 
     def scan(self, truth: Truth, cars: Sequence[OtherCar] = ()) -> Tracks:
         """Tracks of this tick, of which there may be none.

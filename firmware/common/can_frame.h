@@ -22,7 +22,8 @@ enum can_bus {
     CAN_BUS_3 = 1, /* space_drive.dbc: Raptor and Space Drive, 500 kbit/s */
     CAN_BUS_A = 2, /* autonomy.dbc: autonomy, operator and OBC, 1 Mbit/s */
     CAN_BUS_S = 3, /* sensors.dbc: localisation sensors, 500 kbit/s */
-    CAN_BUS_COUNT = 4,
+    CAN_BUS_R = 4, /* radar_esr.dbc: front radar and autonomy, 500 kbit/s; only in a car with the radar */
+    CAN_BUS_COUNT = 5,
 };
 
 /* Stations that send. The number is the `sender` of a frame; it does not travel on the wire. */

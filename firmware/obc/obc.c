@@ -139,7 +139,7 @@ static void run_receive(void *context)
             estimate_receiver_push(&self->estimate, frame, self->io.now_us);
             break;
         default:
-            break; /* CAN3 is none of our buses */
+            break; /* CAN3 and CAN-R are none of our buses */
         }
     }
 }

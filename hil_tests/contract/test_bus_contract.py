@@ -53,7 +53,7 @@ def test_schema_names_only_states_and_flags_that_exist():
 
 
 def test_buses_stations_and_flags_are_those_of_the_firmware():
-    assert list(Bus) == [lib.CAN_BUS_1, lib.CAN_BUS_3, lib.CAN_BUS_A, lib.CAN_BUS_S]
+    assert list(Bus) == [lib.CAN_BUS_1, lib.CAN_BUS_3, lib.CAN_BUS_A, lib.CAN_BUS_S, lib.CAN_BUS_R]
     for station in Station:
         assert getattr(lib, f"CAN_STATION_{station.name}") == station
     for flag in Flag:

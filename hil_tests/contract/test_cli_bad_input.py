@@ -105,6 +105,8 @@ def test_unreadable_scenario(scenario: Path, refused: Callable[..., None]) -> No
         ("{laps: 2}", "{}", "race_control[4].when", "is empty; must hold at least one of"),
         ("track_flag: ORANGE", "track_flag: PINK", "race_control[1].set.track_flag", "allowed are RED, ORANGE"),
         ("position: 4", "position: 9", "safety_switch[2].position", "is 9; must be at most 7"),
+        ("seed: 20221103", "seed: 20221103\nradar: ahead", "radar", "is 'ahead'; must be of type boolean"),
+        ("seed: 20221103", "seed: 20221103\nradars: true", "radars", "unknown key; allowed are description, faults"),
         ("s_m: 20.0", "s_m: 20000.0", "start.s_m", "is 20000; must be below"),
         ("d_m: 4.0", "d_m: 400.0", "start.d_m", "is 400; must be -"),
         ("d_m: 4.0", "d_m: -.inf", "start.d_m", "is -inf; must be a finite number"),

@@ -132,6 +132,21 @@ def test_every_message_as_cantools_has_it(raceloop: Command, codec: MessageCodec
     assert frame_in(again.out) == frame
 
 
+def test_an_identifier_of_the_radar_too_is_not_the_radars_unless_it_is_said(raceloop: Command):
+    """518 is misc_report on CAN1, of five bytes, and Target25 on CAN-R, of eight."""
+    for frame in ("518#8409410604", "518#8409410604000000"):
+        answer = raceloop("dbw", "decode", frame)
+        assert answer.status == 0
+        assert "misc_report" in answer.out
+        assert "Target25" not in answer.out
+    answer = raceloop("dbw", "decode", "518#8409410604000000", "--bus", "CAN-R")
+    assert answer.status == 0
+    assert "misc_report" not in answer.out
+    assert "Target25" in answer.out
+    assert "ESR_Status2" in raceloop("dbw", "decode", "4E1#0000000000000000").out
+    assert_one_line(raceloop("dbw", "decode", "518#84", "--bus", "CAN-R"), "Target25 has 8 data bytes, not 1")
+
+
 def test_a_crc_is_computed_and_checked(raceloop: Command):
     encoded = raceloop("dbw", "encode", "req_brake_pos", "contrl_pos_brk=100", "Appl_Message_Counter=3")
     frame = frame_in(encoded.out)

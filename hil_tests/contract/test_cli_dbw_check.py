@@ -218,7 +218,11 @@ def test_what_can_be_read_of_a_broken_recording_is_checked(
         ("drive.log", b"\x00\x1b[31m\xff\n" * 3, "holds no frame; line 1 is no frame: ??[31m"),
         ("drive.csv.bak", b"", "unknown kind of log; allowed are .asc, .blf, .log, .mf4, .trc"),
         ("drive", b"", "unknown kind of log"),
-        ("drive.log", b"(1.000000) can7 57A#00\n", "channel can7: unknown; allowed are CAN1, CAN3, CANA, CANS, vcan0"),
+        (
+            "drive.log",
+            b"(1.000000) can7 57A#00\n",
+            "channel can7: unknown; allowed are CAN1, CAN3, CANA, CANS, CANR, vcan0",
+        ),
     ],
 )
 def test_what_is_no_recording_is_one_line(raceloop: Command, tmp_path: Path, name: str, content: bytes, told: str):
@@ -249,7 +253,7 @@ def test_a_file_that_cannot_be_written_is_one_line(raceloop: Command, tmp_path: 
 
 def test_channels_are_called_as_loggers_do(raceloop: Command, tmp_path: Path):
     path = tmp_path / "drive.log"
-    for names in (CHANNELS.values(), [bus.label for bus in Bus], ["vcan0", "vcan1", "vcan2", "vcan3"]):
+    for names in (CHANNELS.values(), [bus.label for bus in Bus], [f"vcan{number}" for number in range(5)]):
         path.write_text("".join(f"(1.000000) {name} 7FF#00\n" for name in names))
         found = [line.split()[0] for line in raceloop("dbw", "check", path).out.splitlines()[:-1]]
-        assert found == ["CAN1", "CAN3", "CAN-A", "CAN-S"]
+        assert found == ["CAN1", "CAN3", "CAN-A", "CAN-S", "CAN-R"]

@@ -33,7 +33,7 @@ from tools.dbw.schedule import analyse
 
 FULL_BRAKE_KPA = 4500
 LINE = re.compile(r"\((\d+\.\d+)\) (\w+) ([0-9A-F]+)#([0-9A-F]*) [RT]")
-CHANNELS = {"raptor": "CAN1", "space_drive": "CAN3", "autonomy": "CANA", "sensors": "CANS"}
+CHANNELS = {"raptor": "CAN1", "space_drive": "CAN3", "autonomy": "CANA", "sensors": "CANS", "radar_esr": "CANR"}
 
 
 @dataclass(frozen=True)

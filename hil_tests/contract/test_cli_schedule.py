@@ -40,7 +40,7 @@ def test_everything_at_100_hz_is_more_than_the_bus_has(capsys: pytest.CaptureFix
     assert "no bound" in lines[-2]
 
 
-@pytest.mark.parametrize("bus", ["CAN3", "CAN-A", "CAN-S"])
+@pytest.mark.parametrize("bus", ["CAN3", "CAN-A", "CAN-S", "CAN-R"])
 def test_other_buses_fit(capsys: pytest.CaptureFixture[str], bus: str):
     status, lines = page(capsys, "--bus", bus)
     assert status == 0
@@ -50,7 +50,7 @@ def test_other_buses_fit(capsys: pytest.CaptureFixture[str], bus: str):
 @pytest.mark.parametrize(
     ("options", "told"),
     [
-        (["--bus", "CAN2"], "--bus CAN2: no such bus; allowed are CAN1, CAN3, CAN-A, CAN-S"),
+        (["--bus", "CAN2"], "--bus CAN2: no such bus; allowed are CAN1, CAN3, CAN-A, CAN-S, CAN-R"),
         (["--bit-rate", "700001"], "--bit-rate 700001; allowed are divisors of 1000000000 from 1000 to 1000000"),
     ],
 )

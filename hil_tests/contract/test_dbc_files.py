@@ -24,7 +24,7 @@ EVERY = [*NETWORK, *(facts for facts in V26 if facts.bus == Bus.CAN1)]
 IDS = [f"{facts.database}.{facts.message.name}" for facts in EVERY]
 MESSAGES = {facts.message.name: facts for facts in NETWORK}
 V26_MESSAGES = {facts.message.name: facts for facts in V26}
-BIT_RATES = {Bus.CAN1: 500_000, Bus.CAN3: 500_000, Bus.CAN_A: 1_000_000, Bus.CAN_S: 500_000}
+BIT_RATES = {Bus.CAN1: 500_000, Bus.CAN3: 500_000, Bus.CAN_A: 1_000_000, Bus.CAN_S: 500_000, Bus.CAN_R: 500_000}
 
 
 def signal(message: str, name: str, messages: Mapping[str, MessageFacts] = MESSAGES) -> Signal:
@@ -188,7 +188,14 @@ def test_frames_of_one_plan_share_its_counter() -> None:
 
 @pytest.mark.parametrize(
     ("stem", "limit"),
-    [("raptor", 0.60), ("raptor_v26", 0.60), ("space_drive", 0.60), ("autonomy", 0.80), ("sensors", 0.60)],
+    [
+        ("raptor", 0.60),
+        ("raptor_v26", 0.60),
+        ("space_drive", 0.60),
+        ("autonomy", 0.80),
+        ("sensors", 0.60),
+        ("radar_esr", 0.60),
+    ],
 )
 def test_bus_load_is_plausible(stem: str, limit: float) -> None:
     bus = next(databases[stem] for databases in PROFILES.values() if stem in databases)

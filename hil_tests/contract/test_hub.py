@@ -271,7 +271,7 @@ def test_the_program_in_the_page_works(hub: Hub):
         (hello(0, [(1, False)])[:-1], errno.EPROTO),
         (hello(0, [(1, False)]) + b"x", errno.EPROTO),
         (hello(0, [(1, False)] * 128)[:500], errno.EPROTO),
-        (hello(4), errno.EINVAL),
+        (hello(len(Bus)), errno.EINVAL),
         (hello(0, [(1, False)] * 129), errno.EINVAL),
     ],
     ids=lambda value: f"{len(value)} bytes" if isinstance(value, bytes) else errno.errorcode[value],
@@ -480,7 +480,7 @@ def test_what_is_not_the_protocol_is_sent_away_with_a_reason(hub: Hub, text: byt
 @pytest.mark.parametrize(
     ("requests", "reason"),
     [
-        (["< open can0 >"], "no such channel: there are CAN1 CAN3 CANA CANS"),
+        (["< open can0 >"], "no such channel: there are CAN1 CAN3 CANA CANS CANR"),
         (["< open CAN1 >", "< open CAN1 >"], "open already"),
         (["< rawmode >"], "open a channel first"),
         (["< open CAN1 >", "< bcmmode >"], "only rawmode"),
@@ -511,7 +511,7 @@ def test_a_wrong_request_is_answered_and_the_next_one_works(hub: Hub, requests: 
 
 
 @pytest.mark.parametrize(
-    ("alias", "name"), [("vcan0", "CAN1"), ("vcan1", "CAN3"), ("vcan2", "CANA"), ("vcan3", "CANS")]
+    ("alias", "name"), [("vcan0", "CAN1"), ("vcan1", "CAN3"), ("vcan2", "CANA"), ("vcan3", "CANS"), ("vcan4", "CANR")]
 )
 def test_interfaces_are_other_names_of_the_buses(hub: Hub, alias: str, name: str):
     with Talk(hub) as one, Talk(hub) as other:

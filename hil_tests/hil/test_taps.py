@@ -109,5 +109,5 @@ def test_kinds_of_frames_survive_and_can_fd_stays_outside(wire):
 
 
 def test_unknown_bus_is_refused(wire):
-    with pytest.raises(ConfigurationError, match="CAN2: unknown bus; allowed are CAN1, CAN3, CANA, CANS"):
+    with pytest.raises(ConfigurationError, match="CAN2: unknown bus; allowed are CAN1, CAN3, CANA, CANS, CANR"):
         Taps({"CAN2": wire[0]})

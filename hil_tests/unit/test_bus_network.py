@@ -74,6 +74,7 @@ def test_second_call_in_a_tick_waits_for_the_bus():
         (Bus.CAN3, {Station.RAPTOR, Station.SPACE_DRIVE}),
         (Bus.CAN_A, {Station.AUTONOMY, Station.OPERATOR, Station.OBC}),
         (Bus.CAN_S, {Station.SENSORS, Station.AUTONOMY, Station.OBC}),
+        (Bus.CAN_R, {Station.SENSORS, Station.AUTONOMY}),
     ],
 )
 def test_every_station_on_the_bus_but_the_sender_receives(bus: Bus, members: set[Station]):

@@ -52,7 +52,8 @@ def test_enums_equal_those_of_the_firmware() -> None:
     buses = ffi.typeof("enum can_bus").relements
     stations = ffi.typeof("enum can_station").relements
     flags = ffi.typeof("enum can_frame_flag").relements
-    c_bus_names = {Bus.CAN1: "CAN_BUS_1", Bus.CAN3: "CAN_BUS_3", Bus.CAN_A: "CAN_BUS_A", Bus.CAN_S: "CAN_BUS_S"}
+    c_bus_names = {Bus.CAN1: "CAN_BUS_1", Bus.CAN3: "CAN_BUS_3"}
+    c_bus_names |= {Bus.CAN_A: "CAN_BUS_A", Bus.CAN_S: "CAN_BUS_S", Bus.CAN_R: "CAN_BUS_R"}
     assert buses == {c_bus_names[bus]: bus.value for bus in Bus} | {"CAN_BUS_COUNT": len(Bus)}
     assert stations == {f"CAN_STATION_{s.name}": s.value for s in Station} | {"CAN_STATION_COUNT": len(Station)}
     assert flags == {f"CAN_FLAG_{flag.name}": flag.value for flag in Flag}

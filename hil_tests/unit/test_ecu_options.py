@@ -12,7 +12,7 @@ from dbc.frames import Bus
 
 NOW_NS = 5_000_000_000_000
 MINUTE_NS = 60_000_000_000
-ALL_BUSES = 0b1111
+ALL_BUSES = (1 << len(Bus)) - 1
 BUS = "--bus=CAN1=hub:/run/hub"
 
 
@@ -42,7 +42,7 @@ class Parsed:
 def test_defaults():
     parsed = Parsed(BUS)
     assert parsed.error == 0
-    assert [parsed.address(bus) for bus in Bus] == ["hub:/run/hub", None, None, None]
+    assert [parsed.address(bus) for bus in Bus] == ["hub:/run/hub", *[None] * 4]
     options = parsed.c
     assert (options.epoch_ns, options.phase_us, options.period_us) == (NOW_NS, 0, 10_000)
     assert (options.priority, options.cpu, options.cycles) == (0, -1, 60_000)
@@ -55,7 +55,8 @@ def test_defaults():
 def test_every_word(equals: bool):
     words = [
         ("--bus", "CAN1=socketcan:vcan0"), ("--bus", "CANS=socketcan:vcan3"), ("--bus", "CAN3=hub:/a=b"),
-        ("--bus", "CANA=hub:/run/hub"), ("--epoch", "123"), ("--phase", "1500"), ("--period", "1000"),
+        ("--bus", "CANA=hub:/run/hub"), ("--bus", "CANR=socketcan:can7"),
+        ("--epoch", "123"), ("--phase", "1500"), ("--period", "1000"),
         ("--priority", "80"), ("--cpu", "3"), ("--wired", "/run/wires"), ("--cycle-log", "/run/log"),
         ("--cycles", "500"), ("--profile", "V26"),
     ]  # fmt: skip
@@ -63,7 +64,7 @@ def test_every_word(equals: bool):
     parsed = Parsed(*arguments, "--with-parent")
     assert parsed.mistake == ""
     assert [parsed.address(bus) for bus in Bus] == [
-        "socketcan:vcan0", "hub:/a=b", "hub:/run/hub", "socketcan:vcan3",
+        "socketcan:vcan0", "hub:/a=b", "hub:/run/hub", "socketcan:vcan3", "socketcan:can7",
     ]  # fmt: skip
     options = parsed.c
     assert (options.epoch_ns, options.phase_us, options.period_us) == (123, 1500, 1000)
@@ -99,7 +100,7 @@ def test_a_wall_clock_time_is_no_epoch():
 
 @pytest.mark.parametrize("value", ["", "CAN2=hub:/x", "CAN1", "can1=hub:/x", "CAN=hub:/x", "CAN11=hub:/x", "=hub:/x"])
 def test_buses_that_do_not_exist(value: str):
-    expected = f"--bus {value}: allowed is NAME=ADDRESS, NAME one of CAN1 CAN3 CANA CANS"
+    expected = f"--bus {value}: allowed is NAME=ADDRESS, NAME one of CAN1 CAN3 CANA CANS CANR"
     assert Parsed("--bus", value).mistake == expected
 
 
@@ -163,5 +164,5 @@ def test_help_comes_first_and_names_every_word():
 
 def test_names_of_buses():
     names = [ffi.string(lib.ecu_bus_name(bus)).decode() for bus in Bus]
-    assert names == ["CAN1", "CAN3", "CANA", "CANS"]
-    assert ffi.string(lib.ecu_bus_name(4)).decode() == "?"
+    assert names == ["CAN1", "CAN3", "CANA", "CANS", "CANR"]
+    assert ffi.string(lib.ecu_bus_name(5)).decode() == "?"

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dbc.buses import DIRECTORY, STEMS
+from dbc.buses import DIRECTORY, STEMS, Bus, Station
+from dbc.frames import iterate
 from dbc.network import bit_rate, load_database, raw_limits
 from dbc.radar_tracks import (
     FIRST_ID,
@@ -22,6 +23,8 @@ from dbc.radar_tracks import (
     on_wire,
     pack,
     resolution,
+    rolling_counts,
+    track_frames,
     unpack,
     wire_limits,
 )
@@ -81,7 +84,7 @@ def test_all_64_tracks_have_the_public_layout() -> None:
 
 def test_the_file_is_what_the_others_are_and_none_of_theirs() -> None:
     assert bit_rate(PATH, DATABASE) == 500_000
-    assert PATH.stem not in STEMS, "it is in the profiles: then the contract tests of all DBC files check it"
+    assert PATH.stem in STEMS
     layouts = Path(__file__).parents[1] / "contract" / "layouts.csv"
     with layouts.open(newline="", encoding="ascii") as file:
         on_can1 = {
@@ -173,6 +176,25 @@ def test_a_frame_without_a_target_is_no_track() -> None:
     assert track["mode"] == RangeMode.NONE
 
 
+@pytest.mark.parametrize("rolling_count", [0, 1])
+def test_frames_of_a_scan_have_its_rolling_count_with_and_without_a_track(rolling_count: int) -> None:
+    print(f"seed {SEED}")
+    tracks = random_tracks(np.random.default_rng(SEED), 20)
+    tracks["rolling_count"] = rolling_count
+    data = pack(tracks, rolling_count)
+    assert unpack(data).tobytes() == unpack(pack(tracks)).tobytes()
+    assert rolling_counts(data).tolist() == [rolling_count] * TRACKS
+    frames = list(iterate(track_frames(tracks, rolling_count)))
+    assert [frame.id for frame in frames] == list(range(FIRST_ID, FIRST_ID + TRACKS))
+    for frame, row in zip(frames, data, strict=True):
+        assert frame == (0, frame.id, Bus.CAN_R, 8, 0, Station.SENSORS, row.tobytes())
+        values = DATABASE.decode_message(frame.id, frame.data, decode_choices=False)
+        assert values["CAN_TX_TRACK_ROLLING_COUNT"] == rolling_count
+        assert (values["CAN_TX_TRACK_STATUS"] != TrackStatus.NO_TARGET) == (frame.id - FIRST_ID + 1 in tracks["id"])
+        empty = {name for name, value in values.items() if value}
+        assert frame.id - FIRST_ID + 1 in tracks["id"] or empty <= {"CAN_TX_TRACK_ROLLING_COUNT"}
+
+
 @pytest.mark.parametrize("ids", [[0], [65], [3, 3]])
 def test_numbers_that_are_none(ids: list[int]) -> None:
     tracks = np.zeros(len(ids), dtype=TRACK_DTYPE)
@@ -194,3 +216,5 @@ def test_values_that_are_none(value: float) -> None:
 def test_data_of_another_shape(shape: tuple[int, ...]) -> None:
     with pytest.raises(ValueError, match="shape"):
         unpack(np.zeros(shape, dtype=np.uint8))
+    with pytest.raises(ValueError, match="shape"):
+        rolling_counts(np.zeros(shape, dtype=np.uint8))

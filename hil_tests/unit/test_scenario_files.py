@@ -58,6 +58,14 @@ def test_a_scenario_is_of_v14_unless_it_says_otherwise(folder: Path) -> None:
     assert (caught.value.key, caught.value.problem) == ("profile", f"is 'V12'; allowed are {', '.join(PROFILES)}")
 
 
+def test_a_car_has_no_radar_unless_its_scenario_says_so(folder: Path) -> None:
+    assert not load_scenario(write(folder, GOOD)).radar
+    for radar, buses in ((False, "CAN1 CAN3 CAN-A CAN-S"), (True, "CAN1 CAN3 CAN-A CAN-S CAN-R")):
+        scenario = load_scenario(write(folder, GOOD | {"radar": radar}))
+        assert scenario.radar is radar
+        assert " ".join(bus.label for bus in scenario.buses) == buses
+
+
 def changed(*keys: str | int, value: Any = None, remove: bool = False) -> dict[str, Any]:
     content = copy.deepcopy(GOOD)
     place: Any = content
@@ -100,6 +108,10 @@ def test_another_fmu(folder: Path):
         (changed("colour", value="red"), "colour", "unknown key; allowed are description, faults, finish"),
         (changed("seed", remove=True), "seed", "is missing"),
         (changed("seed", value="many"), "seed", "is 'many'; must be of type integer"),
+        (changed("radar", value="front"), "radar", "is 'front'; must be of type boolean"),
+        (changed("radar", value=1), "radar", "is 1; must be of type boolean"),
+        (changed("radar"), "radar", "is empty; must be of type boolean"),
+        (changed("radar", value={"place": "front"}), "radar", "must be of type boolean"),
         (changed("seed", value=-1), "seed", "is -1; must be at least 0"),
         (changed("seed", value=True), "seed", "must be of type integer"),
         (changed("name", value=""), "name", "is empty"),

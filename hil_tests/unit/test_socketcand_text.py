@@ -17,7 +17,7 @@ from bridge._native import ffi, lib
 from dbc.frames import FRAME_STRUCT, Flag, Frame
 
 SEED = 20
-CHANNELS = {"CAN1": 0, "CAN3": 1, "CANA": 2, "CANS": 3, "vcan0": 0, "vcan1": 1, "vcan2": 2, "vcan3": 3}
+CHANNELS = {"CAN1": 0, "CAN3": 1, "CANA": 2, "CANS": 3, "CANR": 4} | {f"vcan{number}": number for number in range(5)}
 BLANKS = " \t\r\n"
 NO_FRAME = Frame(0, 0, 0, 0, 0, 0, bytes(8))
 

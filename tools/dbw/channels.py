@@ -41,6 +41,7 @@ def bus_of(channel: object, chosen: Bus | None, source: str | Path) -> Bus:
     """
     bus = NAMES.get(str(channel)) if chosen is None else chosen
     if bus is None:
-        allowed = f"{', '.join(CHANNELS.values())}, vcan0 to vcan3, 0 to 3; or say --bus"
+        last = max(Bus)
+        allowed = f"{', '.join(CHANNELS.values())}, vcan0 to vcan{last}, 0 to {last}; or say --bus"
         raise ConfigurationError(source, f"channel {channel}", f"unknown; allowed are {allowed}")
     return bus

@@ -52,9 +52,10 @@ def decode(database: Codec, text: str, bus: str | None, console: Console) -> int
 
 
 def _messages(database: Codec, frame: TextFrame, bus: str | None) -> list[MessageCodec]:
-    """The messages that a frame can be."""
+    """The messages that a frame can be; where no bus is named, one of the radar only if it is none of the others."""
     buses = list(Bus) if bus is None else [bus_of(bus)]
     found = [codec for one in buses if (codec := database.find(one, frame.frame_id, frame.extended)) is not None]
+    found = [codec for codec in found if codec.bus is not Bus.CAN_R] or found
     if not found:
         near = sorted(
             (codec for codec in database if codec.bus in buses), key=lambda one: abs(one.frame_id - frame.frame_id)

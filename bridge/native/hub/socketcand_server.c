@@ -248,7 +248,7 @@ static void obey(socketcand_server *self, uint32_t place, const socketcand_reque
         answer(self, place, "< echo >");
         break;
     case SOCKETCAND_UNKNOWN_CHANNEL:
-        complain(self, place, "no such channel: there are CAN1 CAN3 CANA CANS, also as vcan0 to vcan3");
+        complain(self, place, "no such channel: there are CAN1 CAN3 CANA CANS CANR, also as vcan0 to vcan4");
         break;
     case SOCKETCAND_OTHER_MODE:
         complain(self, place, "there is only rawmode here");

@@ -25,7 +25,7 @@ typedef struct words {
 } words;
 
 /* Channels have the names of the buses, or those of the SocketCAN interfaces that carry them. */
-static const char *const INTERFACES[CAN_BUS_COUNT] = {"vcan0", "vcan1", "vcan2", "vcan3"};
+static const char *const INTERFACES[CAN_BUS_COUNT] = {"vcan0", "vcan1", "vcan2", "vcan3", "vcan4"};
 
 static bool is_blank(char c)
 {

@@ -13,7 +13,7 @@
 #include <time.h>
 #include <unistd.h>
 
-_Static_assert(sizeof(cycle_record) == 144, "Python reads this layout");
+_Static_assert(sizeof(cycle_record) == 152, "Python reads this layout");
 _Static_assert(sizeof(cycle_log_header) == 472, "Python reads this layout");
 _Static_assert(ATOMIC_LLONG_LOCK_FREE == 2, "the count is published without a lock");
 

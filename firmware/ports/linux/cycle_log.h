@@ -11,10 +11,10 @@
 
 enum {
     CYCLE_LOG_MAGIC = 0x4C435952, /* "RYCL" */
-    CYCLE_LOG_VERSION = 1,
+    CYCLE_LOG_VERSION = 2,
     CYCLE_LOG_NAME_MAX = 24, /* with its final zero */
     CYCLE_LOG_TASKS_MAX = 16,
-    CYCLE_LOG_BUSES = 4,
+    CYCLE_LOG_BUSES = 5,
 };
 
 /* One cycle. Times in ns on CLOCK_MONOTONIC, in the order in which they happen. */

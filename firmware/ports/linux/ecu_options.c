@@ -15,7 +15,7 @@ enum {
 static const uint64_t NS_PER_MINUTE = 60000000000U;
 
 static const char *const bus_names[CAN_BUS_COUNT] = {
-    [CAN_BUS_1] = "CAN1", [CAN_BUS_3] = "CAN3", [CAN_BUS_A] = "CANA", [CAN_BUS_S] = "CANS"};
+    [CAN_BUS_1] = "CAN1", [CAN_BUS_3] = "CAN3", [CAN_BUS_A] = "CANA", [CAN_BUS_S] = "CANS", [CAN_BUS_R] = "CANR"};
 
 /* A word with a value. */
 typedef struct option_row {

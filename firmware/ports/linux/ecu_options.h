@@ -40,7 +40,7 @@ int32_t ecu_options_parse(ecu_options *self, const ecu_sockets *sockets, uint64_
 /* The words, one a line with its meaning. Static storage. */
 const char *ecu_options_help(void);
 
-/* Name of a bus on command lines and in logs: CAN1, CAN3, CANA, CANS. bus: enum can_bus. Static storage. */
+/* Name of a bus on command lines and in logs: CAN1, CAN3, CANA, CANS, CANR. bus: enum can_bus. Static storage. */
 const char *ecu_bus_name(uint32_t bus);
 
 #endif
