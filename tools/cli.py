@@ -10,7 +10,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from dbc.buses import DEFAULT_PROFILE
+from dbc.buses import DEFAULT_PROFILE, car_buses
 from dbc.errors import RaceloopError
 from tools.exit_status import ExitStatus
 
@@ -88,6 +88,7 @@ def _run(options: argparse.Namespace, console: Console) -> int:
     from tools.realtime import run_realtime  # noqa: PLC0415
     from tools.realtime_run import make_options  # noqa: PLC0415
 
+    scenario = chosen_scenario(options.scenario, options.profile)
     chosen = make_options(
         options.bus,
         options.interfaces,
@@ -96,8 +97,9 @@ def _run(options: argparse.Namespace, console: Console) -> int:
         options.priority,
         options.cpu,
         1 if options.slower is None else options.slower,
+        scenario.buses,
     )
-    return run_realtime(chosen_scenario(options.scenario, options.profile), options.out, console, chosen)
+    return run_realtime(scenario, options.out, console, chosen)
 
 
 def _dbw(options: argparse.Namespace, console: Console) -> int:
@@ -159,7 +161,10 @@ def _jitter(options: argparse.Namespace, console: Console) -> int:
     from tools.run import find_scenario  # noqa: PLC0415
 
     scenario = None if options.scenario is None else load_scenario(find_scenario(options.scenario))
-    chosen = make_options(options.bus, options.interfaces, priority=options.priority or None, cpu=options.cpu)
+    buses = car_buses() if scenario is None else scenario.buses
+    chosen = make_options(
+        options.bus, options.interfaces, priority=options.priority or None, cpu=options.cpu, buses=buses
+    )
     setup = Setup(ECUS[options.ecu], options.rate or 100.0, options.seconds or 30.0, chosen)
     outputs = Outputs.of(options.out, options.json, options.trace)
     return jitter(setup, None if options.load == "none" else options.load, scenario, outputs, console)
@@ -189,12 +194,12 @@ def make_parser() -> argparse.ArgumentParser:
     run.add_argument("--profile", help="layout of CAN1 (default: the scenario's, V14 where it has none)")
     run.add_argument("--realtime", action="store_true", help="every station a process of its own, by the wall clock")
     live = run.add_argument_group("with --realtime")
-    live.add_argument("--bus", choices=["hub", "socketcan"], help="what carries the four buses (default: hub)")
+    live.add_argument("--bus", choices=["hub", "socketcan"], help="what carries the buses (default: hub)")
     live.add_argument(
         "--interfaces",
         type=lambda text: text.split(","),
         metavar="A,B,C,D",
-        help="CAN interfaces of CAN1, CAN3, CANA, CANS (default: vcan0,vcan1,vcan2,vcan3)",
+        help="CAN interfaces of CAN1, CAN3, CANA, CANS, and of CANR with the radar (default: vcan0,vcan1 and so on)",
     )
     live.add_argument(
         "--port", type=_port, metavar="N", help="of the hub for socketcand clients (default: any that is free)"
@@ -237,7 +242,7 @@ def make_parser() -> argparse.ArgumentParser:
     campaign.add_argument("--json", type=Path, metavar="FILE", help="write the summary")
     campaign.add_argument("--junit", type=Path, metavar="FILE", help="write a test case per fault as JUnit XML")
 
-    hub = commands.add_parser("hub", help="carry the four buses where the kernel has no CAN")
+    hub = commands.add_parser("hub", help="carry the buses where the kernel has no CAN")
     hub.add_argument(
         "--port", type=_port, default=29536, metavar="N", help="for socketcand clients; 0: any free (default: 29536)"
     )
@@ -280,7 +285,9 @@ def make_parser() -> argparse.ArgumentParser:
     encode.add_argument("values", nargs="*", metavar="SIGNAL=VALUE", help="a number or a name; raw 0 when not given")
     decode = tasks.add_parser("decode", help="a frame into physical values")
     decode.add_argument("frame", metavar="ID#DATA", help="as can-utils write it: 57A#2D07050000000000")
-    decode.add_argument("--bus", metavar="BUS", help="CAN1, CAN3, CAN-A or CAN-S (default: wherever the identifier is)")
+    decode.add_argument(
+        "--bus", metavar="BUS", help="CAN1, CAN3, CAN-A, CAN-S, CAN-R (default: wherever the identifier is)"
+    )
 
     check = tasks.add_parser("check", help="everything in a recording or on a bus that is not what the DBC files say")
     _add_source(check)
@@ -309,7 +316,9 @@ def make_parser() -> argparse.ArgumentParser:
     diff.add_argument("one", type=Path, help="DBC file")
     diff.add_argument("other", type=Path, help="DBC file")
     schedule = tasks.add_parser("schedule", help="whether what is sent in cycles fits on a bus, in the worst case")
-    schedule.add_argument("--bus", metavar="BUS", default="CAN1", help="CAN1, CAN3, CAN-A or CAN-S (default: CAN1)")
+    schedule.add_argument(
+        "--bus", metavar="BUS", default="CAN1", help="CAN1, CAN3, CAN-A, CAN-S, CAN-R (default: CAN1)"
+    )
     schedule.add_argument("--bit-rate", type=_count, metavar="N", help="bit/s (default: that of the DBC file)")
     schedule.add_argument(
         "--all-at", type=_positive, metavar="MS", help="every message with this cycle (default: those of the DBC file)"
@@ -344,7 +353,9 @@ def _add_source(parser: argparse.ArgumentParser) -> None:
         " [BUS=]INTERFACE:CHANNEL: socketcan:vcan0, socketcand:127.0.0.1:29536/CAN1, CAN1=slcan:/dev/ttyACM0,"
         " or any other of python-can's",
     )
-    parser.add_argument("--bus", metavar="BUS", help="of all frames: CAN1, CAN3, CAN-A or CAN-S (default: by channel)")
+    parser.add_argument(
+        "--bus", metavar="BUS", help="of all frames: CAN1, CAN3, CAN-A, CAN-S, CAN-R (default: by channel)"
+    )
     parser.add_argument("--seconds", type=_positive, metavar="S", help="listen so long (default: until Ctrl-C)")
 
 

@@ -1,4 +1,4 @@
-"""`raceloop hub`: the car's four buses on a machine whose kernel has no CAN."""
+"""`raceloop hub`: the car's buses on a machine whose kernel has no CAN."""
 
 from __future__ import annotations
 

@@ -8,8 +8,8 @@ All ways take turns in short blocks, so that what else the machine does hits eac
 this process, in Python, on every way; the hub, or the echo of a transport alone, is another process.
 
 - Round trip: a frame from one station to another and one back, the second sent when the first has come.
-- Tick: 5500 frames a second on four buses as stations send them, so 55 frames every 10 ms, from the first send to the
-  last frame received. In packets: one per bus; single: one per frame.
+- Tick: 5500 frames a second on the buses of a car without radar as stations send them, so 55 frames every 10 ms, from
+  the first send to the last frame received. In packets: one per bus; single: one per frame.
 - Hub: processor time of the hub per frame in these ticks.
 - Rate: frames a second on one bus in packets of 14, as fast as this process sends and receives.
 - Kept: frames, one per packet, that the kernel keeps for a receiver that does not read, in buffers of its own size.
@@ -366,7 +366,7 @@ def measure(rounds: int) -> tuple[list[Way], list[Transport]]:
         for number, (title, end) in enumerate(WAYS.items()):
             hub = HubRun(Path(name) / f"hub-{number}")
             ways.append(exits.enter_context(closing(Way(title, hub))))
-            ways[-1].pairs.update((bus, (end(hub, bus), end(hub, bus))) for bus in Bus)
+            ways[-1].pairs.update((bus, (end(hub, bus), end(hub, bus))) for bus in TICK_FRAMES)
             ways[-1].warm_up()
         for _ in range(rounds):
             for way in ways:

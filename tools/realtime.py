@@ -209,6 +209,7 @@ def _summary(run: RealTimeRun, course: _Course, recording: Recording, folder: Pa
         "buses": {
             CHANNELS[bus]: statistics | {"lost": overflows[bus]}
             for bus, statistics in run.observer.load.statistics(course.ended_us * 1e-6).items()
+            if bus in scenario.buses
         },
         "frames_lost": sum(overflows.values()),
         "frame_log_sha256": recording.frame_log_sha256,

@@ -38,7 +38,7 @@ from bridge.safety.monitor import SafetyMonitor
 from bridge.scenario import Scenario
 from bridge.surroundings import TICK_US, Ending
 from dbc import codec
-from dbc.buses import DEFAULT_PROFILE
+from dbc.buses import DEFAULT_PROFILE, car_buses
 from dbc.errors import RaceloopError
 from dbc.frames import Bus
 from tools.run import load_road, make_folder
@@ -56,13 +56,13 @@ SLOWER = range(1, 101)
 
 HUB = "hub"
 
-#: SocketCAN interfaces of CAN1, CAN3, CANA and CANS unless others are given.
-INTERFACES = ("vcan0", "vcan1", "vcan2", "vcan3")
+#: SocketCAN interfaces of CAN1, CAN3, CANA, CANS and, in a car with the radar, CANR, unless others are given.
+INTERFACES = ("vcan0", "vcan1", "vcan2", "vcan3", "vcan4")
 
 _BUSES: Mapping[str, tuple[Bus, ...]] = MappingProxyType(
     {
-        "plant": (Bus.CAN1, Bus.CAN_A, Bus.CAN_S),
-        "autonomy": (Bus.CAN_A, Bus.CAN_S),
+        "plant": (Bus.CAN1, Bus.CAN_A, Bus.CAN_S, Bus.CAN_R),
+        "autonomy": (Bus.CAN_A, Bus.CAN_S, Bus.CAN_R),
         "obc": (Bus.CAN1, Bus.CAN_A, Bus.CAN_S),
         "raptor": (Bus.CAN1, Bus.CAN3),
         "space-drive": (Bus.CAN3,),
@@ -89,11 +89,12 @@ class RealTimeOptions:
 
     Attributes
     ----------
-    interfaces : SocketCAN interfaces of CAN1, CAN3, CANA and CANS; None: the hub.
+    interfaces : SocketCAN interfaces, one for each of the buses; None: the hub.
     hub_port : TCP port on 127.0.0.1 for socketcand clients of the hub; 0 for any that is free.
     without : stations that are left out.
     placement : cores and priorities.
     slower : how many times slower than real time the car lives; its own time stays as it is.
+    buses : of the car.
     """
 
     interfaces: tuple[str, ...] | None = None
@@ -101,6 +102,7 @@ class RealTimeOptions:
     without: frozenset[str] = frozenset()
     placement: Placement = field(default_factory=Placement)
     slower: int = 1
+    buses: tuple[Bus, ...] = car_buses()
 
     @property
     def period_us(self) -> int:
@@ -116,14 +118,15 @@ def make_options(
     priority: int | None = None,
     cpu: int | None = None,
     slower: int = 1,
+    buses: tuple[Bus, ...] = car_buses(),
 ) -> RealTimeOptions:
     """Options from what a user gives.
 
     Parameters
     ----------
     bus : "hub" or "socketcan"; None for the hub.
-    interfaces : names of four interfaces for SocketCAN; None for vcan0 to vcan3.
-    hub_port, without, priority, cpu, slower : see `RealTimeOptions`.
+    interfaces : names of interfaces for SocketCAN; None for those from vcan0 on.
+    hub_port, without, priority, cpu, slower, buses : see `RealTimeOptions`.
 
     Raises
     ------
@@ -136,11 +139,11 @@ def make_options(
     if bus == "socketcan":
         if hub_port is not None:
             raise RaceloopError("--port is the hub's; it does not go with --bus socketcan")
-        interfaces = INTERFACES if interfaces is None else tuple(interfaces)
-        if len(set(interfaces)) != len(Bus) or len(interfaces) != len(Bus) or not all(interfaces):
+        interfaces = INTERFACES[: len(buses)] if interfaces is None else tuple(interfaces)
+        if len(set(interfaces)) != len(buses) or len(interfaces) != len(buses) or not all(interfaces):
             raise RaceloopError(
-                f"--interfaces {','.join(interfaces)}: must be {len(Bus)} different names, of"
-                f" {', '.join(CHANNELS[bus] for bus in Bus)}"
+                f"--interfaces {','.join(interfaces)}: must be {len(buses)} different names, of"
+                f" {', '.join(CHANNELS[bus] for bus in buses)}"
             )
     elif interfaces is not None:
         raise RaceloopError("--interfaces needs --bus socketcan")
@@ -148,7 +151,7 @@ def make_options(
         raise RaceloopError(f"--slower {slower}: must be {SLOWER.start} to {SLOWER.stop - 1}")
     placement = Placement(priority, cpu)
     chosen = None if interfaces is None else tuple(interfaces)
-    return RealTimeOptions(chosen, hub_port or 0, frozenset(without), placement, slower)
+    return RealTimeOptions(chosen, hub_port or 0, frozenset(without), placement, slower, buses)
 
 
 @dataclass(frozen=True)
@@ -272,7 +275,7 @@ def ecu_part(
 def _station_arguments(name: str, options: RealTimeOptions, shared: SharedFiles, cycles: int) -> list[str]:
     """What the command line of every station has."""
     addresses = bus_addresses(options, shared)
-    arguments = [f"--bus={CHANNELS[bus]}={addresses[bus]}" for bus in _BUSES[name]]
+    arguments = [f"--bus={CHANNELS[bus]}={addresses[bus]}" for bus in _BUSES[name] if bus in addresses]
     arguments += [f"--wired={shared.wires}"] if name in _WIRED else []
     return [*arguments, f"--cycle-log={shared.cycle_log(name)}", f"--cycles={cycles}", "--with-parent"]
 
@@ -280,8 +283,8 @@ def _station_arguments(name: str, options: RealTimeOptions, shared: SharedFiles,
 def bus_addresses(options: RealTimeOptions, shared: SharedFiles) -> dict[Bus, str]:
     """Address of each bus, as links take it."""
     if options.interfaces is None:
-        return dict.fromkeys(Bus, f"hub:{shared.hub}")
-    return {bus: f"socketcan:{name}" for bus, name in zip(Bus, options.interfaces, strict=True)}
+        return dict.fromkeys(options.buses, f"hub:{shared.hub}")
+    return {bus: f"socketcan:{name}" for bus, name in zip(options.buses, options.interfaces, strict=True)}
 
 
 def _has_begun(log: Path) -> bool:
@@ -305,7 +308,7 @@ class RealTimeRun:
     Parameters
     ----------
     scenario : what to run.
-    options : on what buses, and where.
+    options : on what buses, which are those of the scenario's car, and where.
     on_line : takes name and line of what a part logs.
 
     Attributes

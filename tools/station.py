@@ -41,7 +41,7 @@ from dbc.errors import RaceloopError
 from dbc.frames import Bus
 from tools.run import build_bench, load_road, make_autonomy
 
-#: Buses of each station.
+#: Buses of each station. In a car with the radar, both are on CAN-R too.
 BUSES = {"plant": (Bus.CAN1, Bus.CAN_A, Bus.CAN_S), "autonomy": (Bus.CAN_A, Bus.CAN_S)}
 
 #: All that the plant's process listens to.
@@ -77,8 +77,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             if options.with_parent:
                 end_with_parent()
             Placement(options.priority, options.cpu).check()  # now rather than when it is ready
-            addresses = _addresses(options.bus, BUSES[name])
             scenario = replace(load_scenario(options.scenario), profile=profile(options.profile).profile)
+            addresses = _addresses(options.bus, [*BUSES[name], Bus.CAN_R] if scenario.radar else BUSES[name])
             if name == "plant":
                 return _run_plant(options, scenario, addresses, exits, say)
             return _run_autonomy(options, scenario, addresses, exits, say)

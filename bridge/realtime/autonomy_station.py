@@ -1,4 +1,4 @@
-"""Autonomy as a station on CAN-S and CAN-A, with the LiDARs' points."""
+"""Autonomy as a station on CAN-S, CAN-A and, in a car with the radar, CAN-R, with the LiDARs' points."""
 
 from __future__ import annotations
 

@@ -111,7 +111,7 @@ class PlantStation:
         Returns
         -------
         bytes
-            Frames for CAN-S and CAN-A.
+            Frames for CAN-S, CAN-A and CAN-R.
         """
         for_operator = self._sort(received)
         self._read_wires(now_us)

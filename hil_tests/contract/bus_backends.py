@@ -294,7 +294,7 @@ class HubFromPythonCan(HubBackend):
 
 
 class SocketCanBackend(Backend):
-    """The kernel's virtual CAN, vcan0 to vcan3."""
+    """The kernel's virtual CAN, vcan0 to vcan4."""
 
     #: Frames; more than the receive queue of a raw socket holds, also that of a link.
     FLOOD = 8_000

@@ -58,6 +58,14 @@ def test_wrong_options(refused: Callable[..., None], arguments: list[object], wo
     refused(arguments, *words)
 
 
+def test_a_radar_needs_an_interface_more(refused: Callable[..., None], tmp_path: Path) -> None:
+    scenario = copy_scenarios(tmp_path / "scenarios")
+    edit(scenario, "seed: 20221103", "seed: 20221103\nradar: true")
+    socketcan = [scenario, "--realtime", "--bus", "socketcan", "--interfaces"]
+    refused([*socketcan, "a,b,c,d"], "--interfaces a,b,c,d: must be 5 different names, of CAN1, CAN3, CANA, CANS, CANR")
+    refused([*socketcan, "a,b,c,d,a"], "must be 5 different names")
+
+
 @needs_no_can
 def test_no_can_in_the_kernel(refused: Callable[..., None]) -> None:
     refused(["--realtime", "--bus", "socketcan"], "no CAN in this kernel", "--bus hub")

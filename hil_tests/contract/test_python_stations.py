@@ -15,8 +15,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cli_harness import copy_scenarios, edit
 from hub_process import BOUND_S, Hub, until
 
+from autonomy.radar_inbox import RadarInbox, ReceivedScan, ScanStatus
 from autonomy.status import NodeId, NodeStatus
 from bridge._native import ffi
 from bridge.bus import CHANNELS
@@ -29,6 +31,7 @@ from bridge.realtime.wired import Cell, WiredIo
 from dbc.codec import database
 from dbc.errors import ConfigurationError
 from dbc.frames import Bus, Frame, iterate
+from dbc.radar_tracks import TRACKS
 from tools.run import find_scenario
 from tools.station import BUSES, main
 
@@ -148,6 +151,52 @@ def test_a_mistake_is_one_line(
         (("", "", "", "radar"), "raceloop-station: argument station: invalid choice: 'radar'"),
     ):
         assert complaint(words).startswith(expected)
+
+
+def with_radar(folder: Path) -> Path:
+    """The scenario, of a car with the radar."""
+    scenario = copy_scenarios(folder / "scenarios").with_name(SCENARIO.name)
+    edit(scenario, "seed: 20221103", "seed: 20221103\nradar: true")
+    return scenario
+
+
+def test_a_car_with_radar_needs_its_bus(
+    tmp_path: Path, hub: Hub, wires: WiredIo, complaint: Callable[[tuple[str, ...]], str]
+) -> None:
+    del wires
+    scenario = with_radar(tmp_path)
+    for name in BUSES:
+        line = complaint(command(name, hub, tmp_path, scenario=scenario))
+        assert line == f"raceloop-{name}: --bus CANR=ADDRESS is missing"
+        line = complaint(command(name, hub, tmp_path, f"--bus=CANR=hub:{hub.local}"))
+        assert line.startswith(f"raceloop-{name}: --bus CANR=hub:{hub.local}: must be BUS=ADDRESS; buses are ")
+
+
+def test_the_plant_sends_whole_scans_of_the_radar_and_autonomy_hears_them(
+    tmp_path: Path, hub: Hub, wires: WiredIo
+) -> None:
+    del wires
+    more = (f"--bus=CANR=hub:{hub.local}", "--with-parent")
+    scenario = with_radar(tmp_path)
+    commands = {name: command(name, hub, tmp_path, *more, scenario=scenario) for name in BUSES}
+    inbox, scans = RadarInbox(), list[ReceivedScan]()
+    with CanLink(f"hub:{hub.local}", Bus.CAN_R) as link, running(**commands) as run:
+
+        def heard() -> bool:
+            for frame in iterate(link.receive().tobytes()):
+                inbox.receive(frame.time_us, frame.id, frame.dlc, frame.flags, frame.data)
+                scan = inbox.take(frame.time_us)
+                scans.extend([] if scan is None else [scan])
+            return len(scans) >= 5 and cycles(tmp_path, "autonomy") > 50
+
+        run.until(heard, "five scans of the radar")
+    assert {scan.status for scan in scans} == {ScanStatus.COMPLETE}
+    assert sum(len(scan.tracks) for scan in scans) > 0
+    records = {name: read_cycle_log(tmp_path / f"{name}.cycles").records for name in BUSES}
+    with_scan = records["autonomy"]["newest_ns"][:, Bus.CAN_R] > 0
+    assert np.count_nonzero(with_scan) >= 5
+    assert records["autonomy"]["frames_in"][with_scan].max() >= TRACKS
+    assert not records["plant"]["newest_ns"][:, Bus.CAN_R].any(), "sensors hear nothing of it"
 
 
 def test_a_bus_that_is_not_there_is_one_line(

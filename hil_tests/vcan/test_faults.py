@@ -18,7 +18,7 @@ from realtime_rig import Car, car
 from station_loss import LOSSES, SHUT_DOWN, SSM_BRAKES, Loss, lose_and_get_back
 
 from bridge.realtime.placement import Placement
-from dbc.buses import Bus
+from dbc.buses import Bus, car_buses
 from dbc.errors import RaceloopError
 from tools.realtime_run import RealTimeOptions
 
@@ -37,7 +37,7 @@ def options() -> RealTimeOptions:
         placement.check()
     except RaceloopError:
         placement = Placement()
-    return RealTimeOptions(tuple(INTERFACES.values()), placement=placement, slower=SLOWER)
+    return RealTimeOptions(tuple(INTERFACES[bus] for bus in car_buses()), placement=placement, slower=SLOWER)
 
 
 # Minutes each under emulation, where a late sensor may keep the car from starting; over the hub all are always killed.

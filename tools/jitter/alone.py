@@ -90,7 +90,7 @@ def _up(setup: Setup, shared: SharedFiles) -> Iterator[_Buses]:
     """The buses: the interfaces that are there, or a hub of this measurement."""
     addresses = bus_addresses(setup.options, shared)
     if setup.options.interfaces is not None:
-        channels = zip(Bus, setup.options.interfaces, strict=True)
+        channels = zip(setup.options.buses, setup.options.interfaces, strict=True)
         yield _Buses(addresses, {bus: {"interface": "socketcan", "channel": name} for bus, name in channels}, _no_check)
         return
     lines: list[str] = []
@@ -99,7 +99,7 @@ def _up(setup: Setup, shared: SharedFiles) -> Iterator[_Buses]:
         while not (port := re.search(r"socketcand 127\.0\.0\.1:(\d+)", "\n".join(lines))):
             _nobody_ends(hub.poll(_POLL_S))
         client = {"interface": "socketcand", "host": "127.0.0.1", "port": int(port[1])}
-        interfaces = {bus: client | {"channel": CHANNELS[bus]} for bus in Bus}
+        interfaces = {bus: client | {"channel": CHANNELS[bus]} for bus in setup.options.buses}
         yield _Buses(addresses, interfaces, lambda: _nobody_ends(hub.poll()))
 
 

@@ -1,4 +1,4 @@
-"""Run the SocketCAN tests, or any command, where vcan0 to vcan3 exist: on this kernel if it can, else in the guest."""
+"""Run the SocketCAN tests, or any command, where vcan0 to vcan4 exist: on this kernel if it can, else in the guest."""
 
 from __future__ import annotations
 
@@ -121,7 +121,7 @@ def choose_kernels() -> list[str]:
 
 
 def own_network(*command: str) -> list[str]:
-    """Command that runs another in a fresh network namespace with vcan0 to vcan3; user namespaces spare it rights."""
+    """Command that runs another in a fresh network namespace with vcan0 to vcan4; user namespaces spare it rights."""
     user = [] if os.geteuid() == 0 else ["--user", "--map-root-user"]
     return ["unshare", *user, "--net", "sh", str(NETWORK), *command]
 
