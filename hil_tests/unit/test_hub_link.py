@@ -51,7 +51,7 @@ def test_what_is_no_address_is_refused(link: Link, address: str):
 
 
 def test_a_bus_that_does_not_exist_and_too_many_filters_are_refused(hub: HubSocket, link: Link):
-    assert link.open(hub.address, bus=4) == errno.EINVAL
+    assert link.open(hub.address, bus=lib.CAN_BUS_COUNT) == errno.EINVAL
     assert link.open(hub.address, filters=[(1, False)] * (lib.CAN_LINK_FILTERS_MAX + 1)) == errno.EINVAL
     hub.socket.settimeout(0.0)
     with pytest.raises(BlockingIOError):
