@@ -1,4 +1,4 @@
-/* raceloop-hub: the car's four CAN buses on a machine whose kernel has none.
+/* raceloop-hub: the car's CAN buses on a machine whose kernel has none.
  *
  * One thread forwards every frame at once to whoever is on its bus; nobody waits for anybody. Our own stations come
  * through the local socket, any socketcand client through TCP on 127.0.0.1.
