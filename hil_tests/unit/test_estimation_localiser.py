@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from autonomy.estimation import GRAVITY, GnssSample, ImuSample
-from autonomy.localisation import Localiser, Quality
+from autonomy.localisation import Localiser, Quality, QualityLimits
 
 SEED = 41
 RADIUS, SPEED = 233.0, 60.0
@@ -30,12 +30,12 @@ def imu_sample():
 class Rig:
     """A car on a banked circle with both receivers; faults are functions from time to a changed sample or None."""
 
-    def __init__(self, fault_a=None, fault_b=None, imu=True, seed=SEED):
+    def __init__(self, fault_a=None, fault_b=None, imu=True, seed=SEED, limits=None):
         print("seed", seed)
         self.rng = np.random.default_rng(seed)
         self.faults = (fault_a, fault_b)
         self.imu = imu if callable(imu) else lambda _: imu
-        self.localiser = Localiser(lambda *_: (BANK, 0.0))
+        self.localiser = Localiser(lambda *_: (BANK, 0.0), limits=limits)
         self.tick = 0
 
     def sample(self, t, std, fault):
@@ -207,3 +207,83 @@ def test_an_epoch_that_is_not_finite_starts_nothing():
 def test_runs_are_reproducible():
     first, second = ([h[1] for h in Rig().run(3.0)] for _ in range(2))
     assert first == second
+
+
+FARTHEST = 3.0  # m, of a faulty place, not counting spikes
+RECKONED, DRIFTED = 1.0, 1.0  # m and m/s: errors of position and velocity after 2 s without epochs, at the very most
+
+
+def step_bound(limits):
+    """How far the estimate may step in a tick beyond the motion, m.
+
+    What is not faded is at most `jump`. What fades is the offset to the filter in use; both are wrong by a fault and
+    dead reckoning at most. And the velocity is wrong.
+    """
+    faded = 1.0 - math.exp(-1e-6 * TICK_US / limits.settle_s)
+    return limits.jump + faded * 2.0 * (FARTHEST + RECKONED) + 1e-6 * TICK_US * DRIFTED
+
+
+def random_fault(rng):
+    """Any of: places that drift away, that step away, spikes, outages, with times and sizes by chance."""
+    start, length = rng.uniform(3.0, 7.0), rng.uniform(0.3, 2.0)
+    direction = rng.uniform(-math.pi, math.pi)
+    far, rate = rng.uniform(0.3, FARTHEST), rng.uniform(0.2, 2.0)
+    moved = {
+        "drift": lambda t: min(far, rate * (t - start)),
+        "step": lambda _: far,
+        "spikes": lambda _: rng.uniform(5.0, 50.0) if rng.random() < 0.5 else 0.0,
+        "outage": lambda t: None if t < start + length else 0.0,
+        "end": lambda _: None,
+    }
+    kind = str(rng.choice(list(moved)))
+
+    def fault(t, gnss):
+        off = moved[kind](t) if t >= start else 0.0
+        if off is None:
+            return None
+        return gnss._replace(x=gnss.x + off * math.cos(direction), y=gnss.y + off * math.sin(direction))
+
+    return kind, fault
+
+
+def excess(history):
+    """Steps of the estimate between ticks beyond the true motion, m."""
+    off = [(e.x - pose(t)[0], e.y - pose(t)[1]) for t, e, _ in history]
+    return [math.dist(a, b) for a, b in itertools.pairwise(off)]
+
+
+def drive_with_random_faults(seed, limits):
+    """Faults of A, or of both; B is somewhere else from the start."""
+    rng = np.random.default_rng(seed)
+    kind, fault_a = random_fault(rng)
+    kind_b, fault_b = random_fault(rng) if rng.random() < 0.3 else ("none", None)
+    x, y = rng.uniform(-0.5 * FARTHEST, 0.5 * FARTHEST, 2)
+
+    def apart(t, gnss):
+        gnss = fault_b(t, gnss) if fault_b else gnss
+        return gnss and gnss._replace(x=gnss.x + x, y=gnss.y + y)
+
+    print("faults", kind, kind_b)
+    history = list(Rig(fault_a, apart, seed=seed, limits=limits).run(13.0))
+    switches = sum(a[1].source != b[1].source for a, b in itertools.pairwise(history))
+    return {kind, kind_b}, switches, max(excess(history))
+
+
+def test_no_fault_of_either_receiver_makes_the_estimate_jump():
+    limits = QualityLimits()
+    kinds, switches, largest = set(), 0, []
+    for seed in range(60):
+        seen, count, step = drive_with_random_faults(seed, limits)
+        kinds, switches = kinds | seen, switches + count
+        largest.append(step)
+        assert step <= step_bound(limits), seed
+    assert step_bound(limits) == pytest.approx(0.273, abs=0.001)  # the car itself moves 0.6 m in a tick
+    assert kinds == {"drift", "step", "spikes", "outage", "end", "none"}
+    assert switches > 20
+    assert max(largest) > limits.jump / 2  # they did come near
+
+
+def test_without_fading_it_would_jump():
+    sudden = QualityLimits(jump=math.inf, settle_s=1e-6)
+    worst = max(drive_with_random_faults(seed, sudden)[2] for seed in range(20))
+    assert worst > 2.0 * step_bound(QualityLimits())

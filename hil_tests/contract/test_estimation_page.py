@@ -1,0 +1,62 @@
+"""docs/estimation.md says what the code does: tuning, limits, the bound of a step, the example, the printed tables."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from pathlib import Path
+
+import pytest
+
+from autonomy.estimation import FilterTuning
+from autonomy.localisation import QualityLimits
+from bridge.sensors.gnss import ERRORS_A, ERRORS_B
+from bridge.sensors.imu import ImuErrors
+from tools.estimation_bench import INNOVATION, ONCE_IN, PARTS, REPORTED
+from tools.estimation_scene import TICK_S, drive
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGE = (ROOT / "docs" / "estimation.md").read_text()
+TEXT = " ".join(PAGE.split())
+
+
+def test_the_example_runs():
+    (example,) = re.findall(r"^```python\n(.*?)^```", PAGE, re.MULTILINE | re.DOTALL)
+    names: dict = {}
+    exec(compile(example, "docs/estimation.md", "exec"), names)
+    estimate = names["estimate"]
+    assert (estimate.source, estimate.x, estimate.vx) == (1, pytest.approx(60.0 * 1.99, abs=0.05), pytest.approx(60.0))
+
+
+def test_the_tables_state_every_figure_in_force():
+    stated = {name: float(value) for name, value in re.findall(r"^\| `(\w+)`.* \| ([\d.]+) \|$", PAGE, re.MULTILINE)}
+    assert stated == {
+        field.name: field.default for one in (FilterTuning, QualityLimits) for field in dataclasses.fields(one)
+    }
+
+
+def test_what_it_says_of_the_sensors_is_so():
+    errors = ImuErrors()
+    assumed = FilterTuning().acceleration_noise / TICK_S**0.5
+    speed = [float((v**2).sum() ** 0.5) for v in drive(48.0).state[:, 2:4]]
+    for said in (
+        f"{100 * ERRORS_A.position_drift:g} of the {100 * ERRORS_A.position_std:.1f} cm that receiver A states",
+        f"({100 * ERRORS_B.position_drift:g} of {100 * ERRORS_B.position_std:.1f} cm of B)",
+        f"{assumed:g} m/s2 per sample, that of the bench's {errors.acceleration_white:g}",
+        f"at {min(speed):.0f} to {max(speed):.0f} m/s",
+        f"in {ONCE_IN - 1} of {ONCE_IN} studies",
+    ):
+        assert said in TEXT, said
+    assert ERRORS_A.time_constant_s == ERRORS_B.time_constant_s == 60.0, "a drift of a minute"
+
+
+def test_the_printed_tables_have_every_part():
+    (block,) = re.findall(r"^```text\n(.*?)^```", PAGE, re.MULTILINE | re.DOTALL)
+    rows = [[cell.strip() for cell in line.strip("│").split("│")] for line in block.splitlines() if line[:1] == "│"]
+    motion = [*list(PARTS)[1:], INNOVATION]
+    names = [*PARTS, INNOVATION, *motion, REPORTED, *motion, "Localiser.step", "plain filterpy"]
+    assert [row[0] for row in rows] == names
+    assumed = rows[: len(PARTS) + 1]
+    for row in assumed:
+        low, high = map(float, row[5].split())
+        assert low <= float(row[4]) <= high, row
