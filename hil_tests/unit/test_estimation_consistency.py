@@ -133,6 +133,19 @@ def test_a_covariance_a_fifth_too_small_is_seen():
     assert not consistency(squares / 1.25, 8).consistent
 
 
+def test_errors_that_stay_are_seen():
+    """A bias for each run that the covariance does not know of: one independent time, yet far from chi-square."""
+    seed = 14
+    print("seed", seed)
+    rng = np.random.default_rng(seed)
+    errors = rng.standard_normal((100, 300)) + 2.0 * rng.standard_normal((100, 1))
+    one = consistency(errors**2, 1)
+    assert share_bounds(one.effective)[0] <= 0.5
+    assert one.far
+    assert not one.consistent
+    assert not consistency(rng.standard_normal((100, 300)) ** 2, 1).far
+
+
 def test_share_bounds_are_those_of_the_binomial():
     low, high = share_bounds(60.7)
     assert binom.cdf(round(60 * low) - 1, 60, 0.95) < 0.0005 <= binom.cdf(round(60 * low), 60, 0.95)
