@@ -308,11 +308,11 @@ static column_range columns_of_quad(const cast *self, const beam_quad *quad)
 }
 
 /* The corners of a quad as a column sees them, m: how far left of its plane, and where in it. */
-typedef struct sight {
+typedef struct column_view {
     double side[4];
     double ahead[4];
     double up[4];
-} sight;
+} column_view;
 
 /* Where an edge meets the plane of a column, m times `scale`: the direction to it needs no division. */
 typedef struct crossing {
@@ -322,7 +322,7 @@ typedef struct crossing {
 } crossing;
 
 /* Cross an edge from a corner left of the plane, or on it, to one right of it. Both quads at an edge get the same. */
-static crossing cross(const sight *seen, unsigned left, unsigned right)
+static crossing cross(const column_view *seen, unsigned left, unsigned right)
 {
     const double near = seen->side[left];
     const double far = seen->side[right];
@@ -396,7 +396,7 @@ static void meet(const cast *self, const beam_quad *quad, unsigned triangle, uin
 
 /* Cut what lies between some corners of a quad, in order around: the whole of it, or a triangle. */
 static void cut(const cast *self, const beam_quad *quad, unsigned triangle, const uint8_t *corner, unsigned corners,
-                uint32_t column, const sight *seen, uint32_t *below)
+                uint32_t column, const column_view *seen, uint32_t *below)
 {
     crossing ends[4];
     unsigned count = 0U;
@@ -421,7 +421,7 @@ static void cast_quad(const cast *self, const beam_quad *quad, column_range rang
     uint32_t below[2] = {0U, 0U};
     for (uint32_t column = range.first; column < range.end; column++) {
         const beam_column *from = &self->columns[column];
-        sight seen;
+        column_view seen;
         double low = INFINITY;
         double high = -INFINITY;
         for (unsigned k = 0U; k < 4U; k++) {
