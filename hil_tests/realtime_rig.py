@@ -31,6 +31,7 @@ from bridge.realtime.supervisor import Ended
 from bridge.realtime.wired import Cell, WiredIo
 from bridge.recorder import Recording
 from bridge.scenario import load_scenario
+from bridge.sensors import lidar
 from dbc.codec import database
 from dbc.errors import ConfigurationError
 from dbc.frames import FRAME_DTYPE, Bus
@@ -273,6 +274,10 @@ class Car:
         end_us = self.run.now_us + seconds * 1e6
         while self.run.now_us < end_us:
             self.poll()
+
+    def after_a_scan(self) -> None:
+        """Let the run go on until the LiDARs have just scanned: a short pause of the plant then costs one scan."""
+        self.until(lambda: 2_000 <= (self.run.now_us - lidar.PHASE_US) % lidar.PERIOD_US < 8_000, "a scan")
 
     def story(self) -> str:
         """What is known, for a test that fails."""
