@@ -25,13 +25,13 @@ from numpy.typing import NDArray
 from reaction_times import EMERGENCY_STOP, reactions_to
 
 from bridge._native import ffi, lib
+from bridge.operator import LAUNCH_PERIOD_US
 from bridge.realtime.cycle_log import read_cycle_log
 from bridge.realtime.link import CanLink, Filter
 from bridge.realtime.supervisor import Ended
 from bridge.realtime.wired import Cell, WiredIo
 from bridge.recorder import Recording
 from bridge.scenario import load_scenario
-from bridge.sensors import lidar
 from dbc.codec import database
 from dbc.errors import ConfigurationError
 from dbc.frames import FRAME_DTYPE, Bus
@@ -275,16 +275,17 @@ class Car:
         while self.run.now_us < end_us:
             self.poll()
 
-    def after_a_scan(self) -> None:
-        """Let the run go on until the LiDARs have just scanned: a short pause of the plant then costs one scan."""
-        self.until(lambda: 2_000 <= (self.run.now_us - lidar.PHASE_US) % lidar.PERIOD_US < 8_000, "a scan")
-
     def story(self) -> str:
         """What is known, for a test that fails."""
         states = {name: self.receiver.newest(name) for name in ("ssm_status", "misc_report", "ct_report")}
         lines = "\n".join(f"  {name}: {line}" for name, line in self.lines)
         ended = [str(one) for one in self.ended]
-        return f"speed {self.speed}, {states}, ended {ended}, logged:\n{lines}\nlate cycles:\n{self._late_cycles()}"
+        monitor = self.run.observer.monitor
+        events = "\n".join(f"  {one}" for one in (*monitor.transitions[-12:], *monitor.faults[-12:]))
+        return (
+            f"speed {self.speed}, {states}, ended {ended}, logged:\n{lines}\nlate cycles:\n{self._late_cycles()}"
+            f"\nlast transitions and faults:\n{events}"
+        )
 
     def _late_cycles(self) -> str:
         """When stations came late, and how long they waited for a core: a machine that stalls, or a program."""
@@ -334,7 +335,11 @@ class Car:
         assert not self.ended, self.story()
 
     def withdraw_launch(self) -> None:
-        """A frame in the operator's name that asks for no launch."""
+        """A frame in the operator's name that asks for no launch, between two of his own.
+
+        Of two frames in one tick of the onboard computer the later counts, and nothing would have been withdrawn.
+        """
+        self.until(lambda: 20_000 <= self.run.now_us % LAUNCH_PERIOD_US < 60_000, "the operator's silence")
         request = database.message("launch_request")
         with CanLink(self.run.addresses()[request.bus], request.bus) as link:
             assert link.send(request.frame(0.0, 0.0, 200.0)) == 1

@@ -99,7 +99,6 @@ def test_safe_stop_ends_with_a_reset(tmp_path: Path) -> None:
     """Sensors that pause are a safe stop, which only the operator ends, and only at standstill: then it drives on."""
     with car(tmp_path, RealTimeOptions(placement=placement())) as it:
         it.drive()
-        it.after_a_scan()  # two scans less, and the wall is too old to stop beside: full brake
         fault_us = it.signal("plant", signal.SIGSTOP)
         it.until(lambda: (it.receiver.brakes_since(EMERGENCY_STOP) or 0) > fault_us, "a safe stop")
         it.signal("plant", signal.SIGCONT)
