@@ -168,7 +168,7 @@ class Perception:
         return NodeStatus.ERROR if now_us - good_us > SILENCE_US else NodeStatus.OK
 
     def _listen(self, now_us: int, tracks: object, motion: OwnMotion) -> RadarDetections:
-        before, self._last_tracks = self._last_tracks, tracks
+        before, self._last_tracks = self._last_tracks, _kept(tracks)
         # One bit toggles with each scan, so the same tracks are the same scan. Without tracks there is no bit.
         if isinstance(tracks, np.ndarray) and tracks.size and _same(tracks, before):
             return RadarDetections.nothing(RadarStatus.FROZEN)
@@ -177,7 +177,7 @@ class Perception:
     def _look(self, scan: LidarScan, motion: OwnMotion) -> tuple[Detections, RoadObjects]:
         compensation = self.config.compensation
         cloud: object = scan.cloud
-        before, self._last_cloud = self._last_cloud, cloud
+        before, self._last_cloud = self._last_cloud, _kept(cloud)
         # Noise makes each scan another one, to the last bit.
         if isinstance(cloud, np.ndarray) and cloud.size and _same(cloud, before):
             return Detections.nothing(DetectionStatus.FROZEN), no_objects()
@@ -192,6 +192,11 @@ class Perception:
             return found, objects
         middle = 0.5 * (found.objects["z_low"] + found.objects["z_high"]).astype(np.float64)
         return found, levelled(objects, middle - self.config.middle, motion.pose)
+
+
+def _kept(value: object) -> object:
+    """A copy for the next comparison: a driver may use its buffer again."""
+    return value.copy() if isinstance(value, np.ndarray) else None
 
 
 def _same(array: NDArray[Any], before: object) -> bool:

@@ -13,6 +13,9 @@ import yaml
 from autonomy.frenet import FloatArray
 from dbc.errors import ConfigurationError
 
+#: m, of the AV-21, as in its vehicle file (TUM-RL); sensors are mounted from the rear axle on.
+CG_TO_REAR_AXLE = 1.247
+
 _ENGINE_TORQUE = "engine_torque_"
 _GEARS = 6
 

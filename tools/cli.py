@@ -64,11 +64,10 @@ def _dispatch(options: argparse.Namespace, console: Console) -> int:
     if options.command == "dbw":
         return _dbw(options, console)
     if options.command == "eval":
-        from bridge.scenario import load_scenario  # noqa: PLC0415
         from tools.perception_eval import evaluate_perception  # noqa: PLC0415
-        from tools.run import find_scenario  # noqa: PLC0415
+        from tools.run import chosen_scenario  # noqa: PLC0415
 
-        scenario = load_scenario(find_scenario(options.scenario))
+        scenario = chosen_scenario(options.scenario, None)
         return evaluate_perception(scenario, options.seed, console, options.out, options.seconds)
     from tools.bench import bench  # noqa: PLC0415
 

@@ -60,9 +60,19 @@ class Score:
         return len(self.errors) / len(self.verdicts) if self.verdicts else 0.0
 
     @property
+    def position_rms(self) -> float | None:
+        """Root of the mean square of the errors, m; None when nothing was found."""
+        return rms(self.errors)
+
+    @property
     def average_precision(self) -> float:
         """See `average_precision`."""
         return average_precision(self.verdicts, self.cars)
+
+
+def rms(values: Sequence[float]) -> float | None:
+    """Root of the mean square; None of nothing."""
+    return float(np.sqrt(np.mean(np.square(values)))) if values else None
 
 
 def average_precision(verdicts: Sequence[tuple[float, bool]], cars: int) -> float:
@@ -111,9 +121,7 @@ def show(console: Console, scores: dict[str, list[Score]]) -> None:
         for source in SOURCES:
             score = scores[source][place]
             errors = (
-                (f"{statistics.median(score.errors):.2f}", f"{float(np.sqrt(np.mean(np.square(score.errors)))):.2f}")
-                if score.errors
-                else ("-", "-")
+                (f"{statistics.median(score.errors):.2f}", f"{score.position_rms:.2f}") if score.errors else ("-", "-")
             )
             figures = (score.average_precision, score.recall, score.precision)
             bin_ = f"{start} to {end}" if source == SOURCES[0] else ""

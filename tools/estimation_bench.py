@@ -301,21 +301,24 @@ def show_times(console: Console, times: Sequence[Times], ratios: Sequence[float]
     return met
 
 
+#: Default, least value and meaning of each option.
+_OPTIONS = {
+    "runs": (100, 2, "of each study"),
+    "seconds": (round(LAP_S), 1, "that a run lasts"),
+    "seed": (1, 0, "of the first run, the others follow"),
+    "laps": (5, 1, "that are clocked"),
+}
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Command line; returns the exit status."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    for name, default, least, what in (
-        ("runs", 100, 2, "of each study"),
-        ("seconds", round(LAP_S), 1, "that a run lasts"),
-        ("seed", 1, 0, "of the first run, the others follow"),
-        ("laps", 5, 1, "that are clocked"),
-    ):
+    for name, (default, _, what) in _OPTIONS.items():
         parser.add_argument(f"--{name}", type=int, default=default, metavar="N", help=f"{what} (default: {default})")
-        parser.set_defaults(**{f"least_{name}": least})
     options = parser.parse_args(arguments)
-    for name in ("runs", "seconds", "seed", "laps"):
-        if getattr(options, name) < getattr(options, f"least_{name}"):
-            parser.error(f"--{name} is {getattr(options, name)}; must be at least {getattr(options, f'least_{name}')}")
+    for name, (_, least, _) in _OPTIONS.items():
+        if getattr(options, name) < least:
+            parser.error(f"--{name} is {getattr(options, name)}; must be at least {least}")
     console = Console(highlight=False)
     seeds = range(options.seed, options.seed + options.runs)
     console.print(f"{options.runs} runs of {options.seconds} s, seeds {seeds[0]} to {seeds[-1]}")

@@ -25,10 +25,8 @@ from bridge.sensors.spatial_lidar import Motion, SpatialLidar
 from bridge.sensors.surfaces import track_mesh
 from bridge.sensors.truth import Truth
 from dbc.radar_tracks import Tracks
+from tools.lidar_scene import AXLE_HEIGHT
 from tools.run import load_road, make_autonomy
-
-#: m, of the rear axle's middle over the ground.
-AXLE_HEIGHT = 0.31
 
 
 class DriveTick(NamedTuple):

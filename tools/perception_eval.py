@@ -20,6 +20,7 @@ from rich.table import Column, Table
 
 from autonomy.detection.road_objects import RoadObjects
 from autonomy.frenet import FloatArray
+from autonomy.messages import MPH
 from autonomy.opponents.prediction import Prediction
 from autonomy.opponents.tracker import TrackedObject
 from autonomy.perception import Perception, PerceptionConfig
@@ -29,7 +30,7 @@ from bridge.sensors.radar_scene import OtherCar
 from bridge.surroundings import TICK_US
 from dbc.errors import RaceloopError
 from tools.boundary_mismatch import MISMATCHES, Mismatch
-from tools.detection_score import BINS_M, MATCH_M, Sample, Score, bin_of, evaluate, show
+from tools.detection_score import BINS_M, MATCH_M, Sample, Score, bin_of, evaluate, rms, show
 from tools.exit_status import ExitStatus
 from tools.output_files import write_json
 from tools.perception_drive import CarAhead, DriveTick, record_drive, sense
@@ -37,7 +38,7 @@ from tools.progress import ProgressBar
 from tools.scan_bench import Times
 
 #: 100 mph, m/s: above it the paper's figures hold.
-FAST = 44.704
+FAST = 100.0 * MPH
 #: Slower than this, nothing is evaluated, m/s.
 SLOWEST = 10.0
 #: Seconds ahead at which predictions are compared.
@@ -76,7 +77,7 @@ ALONE = (
 
 @dataclass
 class TrackScore:
-    """Tracks of the car in one bin of distance, or of all.
+    """Tracks of the car in one bin of distance.
 
     Attributes
     ----------
@@ -178,6 +179,11 @@ def _seen_from(tick: DriveTick, car: OtherCar) -> FloatArray:
     return np.array([cos * dx + sin * dy, cos * dy - sin * dx])
 
 
+def _apart(car: OtherCar, x: float, y: float) -> float:
+    """Distance of a place from the middle of the car, m."""
+    return math.hypot(x - car.x, y - car.y)
+
+
 def _note(evaluation: Evaluation, tick: DriveTick, place: FloatArray | None, found: dict[str, RoadObjects]) -> None:
     sample = Sample(place, found)
     evaluation.samples.append(sample)
@@ -203,8 +209,8 @@ def _note_tracks(
     own = None
     if car is not None and place is not None:
         bin_ = bin_of(float(np.hypot(*place)))
-        own = min(tracks, key=lambda one: math.hypot(one.x - car.x, one.y - car.y), default=None)
-        if own is not None and math.hypot(own.x - car.x, own.y - car.y) > MATCH_M:
+        own = min(tracks, key=lambda one: _apart(car, one.x, one.y), default=None)
+        if own is not None and _apart(car, own.x, own.y) > MATCH_M:
             own = None
         if bin_ is not None:
             score = evaluation.tracks[bin_]
@@ -218,7 +224,7 @@ def _note_tracks(
                 score.speed.append(math.hypot(error[2], error[3]))
                 score.consistency.append(float(error @ np.linalg.solve(plane, error)))
     for one in tracks:
-        if one is own or (car is not None and math.hypot(one.x - car.x, one.y - car.y) <= MATCH_M):
+        if car is not None and _apart(car, one.x, one.y) <= MATCH_M:
             continue
         evaluation.false_tracks.add(one.identity)
         station, lateral = track.project(one.x, one.y)
@@ -239,9 +245,9 @@ def _note_predictions(
         while kept and kept[0][0] <= tick.time_us:
             due_us, x, y = kept.popleft()
             if due_us == tick.time_us:
-                evaluation.predictions[horizon].append(math.hypot(x - car.x, y - car.y))
-    mine = min(predictions, key=lambda one: math.hypot(one.x[0] - car.x, one.y[0] - car.y), default=None)
-    if mine is None or math.hypot(mine.x[0] - car.x, mine.y[0] - car.y) > MATCH_M:
+                evaluation.predictions[horizon].append(_apart(car, x, y))
+    mine = min(predictions, key=lambda one: _apart(car, one.x[0], one.y[0]), default=None)
+    if mine is None or _apart(car, mine.x[0], mine.y[0]) > MATCH_M:
         return
     for horizon, kept in waiting.items():
         place = int(np.searchsorted(mine.time, horizon - 1e-9))
@@ -253,7 +259,7 @@ def summary_of(with_car: Evaluation, alone: dict[str, Evaluation]) -> dict[str, 
     return {
         "detection": {name: _detection_figures(samples) for name, samples in _speeds(with_car).items()},
         "tracking": [_track_figures(*pair) for pair in zip(BINS_M, with_car.tracks, strict=True)],
-        "prediction_rms_m": {str(horizon): _rms(errors) for horizon, errors in with_car.predictions.items()},
+        "prediction_rms_m": {str(horizon): rms(errors) for horizon, errors in with_car.predictions.items()},
         "false": {name: _false_figures(one) for name, one in {WITH_CAR.name: with_car, **alone}.items()},
         "statuses": dict(sorted(with_car.statuses.items())),
         "ms": {kind: _time_figures(times) for kind, times in with_car.times.items()},
@@ -319,7 +325,7 @@ def _print(console: Console, scenario: Scenario, seed: int, with_car: Evaluation
     console.print(table)
     table = _table("Predicted, s before", "times", "RMS m off")
     for horizon, errors in with_car.predictions.items():
-        table.add_row(str(horizon), str(len(errors)), _shown(_rms(errors)))
+        table.add_row(str(horizon), str(len(errors)), _shown(rms(errors)))
     console.print(table)
     table = _table("What is no car", "minutes", "objects per scan", "tracks per minute", "in the way")
     for name, one in {WITH_CAR.name: with_car, **alone}.items():
@@ -347,10 +353,6 @@ def _table(*names: str) -> Table:
     return Table(*(Column(name, justify="right" if place else "left") for place, name in enumerate(names)))
 
 
-def _rms(values: Sequence[float]) -> float | None:
-    return float(np.sqrt(np.mean(np.square(values)))) if values else None
-
-
 def _share(part: float, whole: float) -> float | None:
     return part / whole if whole else None
 
@@ -375,7 +377,7 @@ def _score_figures(source: str, bin_: tuple[int, int], score: Score) -> dict[str
         "average_precision": score.average_precision,
         "recall": score.recall,
         "precision": score.precision,
-        "position_rms_m": _rms(score.errors),
+        "position_rms_m": score.position_rms,
     }
 
 
@@ -384,8 +386,8 @@ def _track_figures(bin_: tuple[int, int], score: TrackScore) -> dict[str, Any]:
         "m": list(bin_),
         "wanted": score.wanted,
         "tracked": _share(len(score.position), score.wanted),
-        "position_rms_m": _rms(score.position),
-        "speed_rms_mps": _rms(score.speed),
+        "position_rms_m": rms(score.position),
+        "speed_rms_mps": rms(score.speed),
         "nees": float(np.mean(score.consistency)) if score.consistency else None,
     }
 

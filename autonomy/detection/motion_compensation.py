@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from autonomy.detection.cloud import Cloud
 from autonomy.detection.road_objects import RoadObjects
+from autonomy.vehicle import CG_TO_REAR_AXLE
 
 
 class LidarScan(NamedTuple):
@@ -47,9 +48,9 @@ class Sweep:
 
 #: Front, left and right LiDAR of the AV-21 (AWSIM's model of it), from the centre of gravity on, m and rad.
 SWEEPS = (
-    Sweep(2.242 - 1.247, 0.0, 0.0),
-    Sweep(1.549 - 1.247, 0.267, math.radians(120.0)),
-    Sweep(1.549 - 1.247, -0.267, math.radians(-120.0)),
+    Sweep(2.242 - CG_TO_REAR_AXLE, 0.0, 0.0),
+    Sweep(1.549 - CG_TO_REAR_AXLE, 0.267, math.radians(120.0)),
+    Sweep(1.549 - CG_TO_REAR_AXLE, -0.267, math.radians(-120.0)),
 )
 
 
@@ -63,7 +64,7 @@ class MotionCompensation:
     speed_std : m/s, 1 sigma of the difference between another car's velocity and the own one; ours.
     """
 
-    sweeps: Sequence[Sweep] = field(default=SWEEPS)
+    sweeps: Sequence[Sweep] = SWEEPS
     speed_std: float = 10.0
 
     def cloud(self, scan: LidarScan, vx: float, vy: float, yaw_rate: float) -> Cloud:

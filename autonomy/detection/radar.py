@@ -16,6 +16,7 @@ from autonomy.detection.geofence import Geofence
 from autonomy.detection.road_objects import RoadObjects, Sensor, no_objects, turned
 from autonomy.frenet import FloatArray
 from autonomy.track import Track
+from autonomy.vehicle import CG_TO_REAR_AXLE
 from dbc.radar_tracks import TRACK_DTYPE, TRACKS, RangeMode, Tracks, TrackStatus, resolution, wire_limits
 
 
@@ -78,7 +79,7 @@ class RadarConfig:
     Attributes
     ----------
     mount_x : m, of the radar ahead of the origin of the vehicle frame: 1.784 m ahead of the rear axle (AWSIM's model of
-        the AV-21), the centre of gravity 1.247 m.
+        the AV-21), the centre of gravity `CG_TO_REAR_AXLE`.
     margin : of the geofence, m, the paper's.
     range_std, rate_std : m and m/s, 1 sigma (F. de Ponte Mueller, 2017, of the ESR).
     long_angle_std, medium_angle_std : rad, 1 sigma in long and in medium range; the first ours, the second that of the
@@ -92,7 +93,7 @@ class RadarConfig:
     shape : of the cars.
     """
 
-    mount_x: float = 1.784 - 1.247
+    mount_x: float = 1.784 - CG_TO_REAR_AXLE
     margin: float = 1.0
     range_std: float = 1.8
     rate_std: float = 0.12

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from threading import Thread
 from typing import Any
@@ -158,7 +159,8 @@ class RealTimeCommand:
         except subprocess.TimeoutExpired:
             left = children_of(self.process.pid)
             for process in (*left.values(), self.process.pid):
-                os.kill(process, signal.SIGABRT)
+                with suppress(ProcessLookupError):
+                    os.kill(process, signal.SIGABRT)
             self.process.wait(BOUND_S)
             until(lambda: not any(map(alive, left.values())), "the children to end")
             said = "\n".join(self.errors)

@@ -9,14 +9,16 @@ import pytest
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
+import scenarios
 from autonomy.detection.cloud import Pose
 from autonomy.detection.motion_compensation import SWEEPS, LidarScan, MotionCompensation
 from autonomy.detection.road_objects import levelled, no_objects
+from autonomy.vehicle import CG_TO_REAR_AXLE, load_vehicle
 from bridge.sensors.lidar import MOUNTS, PERIOD_US
 from bridge.sensors.spatial_lidar import BeamPattern, Motion, Scan, SpatialLidar
 from bridge.sensors.surfaces import boxes
 
-TO_AXLE = 1.247
+TO_AXLE = load_vehicle(scenarios.DIRECTORY / "vehicles" / "av21.yaml")["cg_to_rear_axle"]
 POST = boxes((((29.95, 30.05), (4.95, 5.05), (0.0, 2.0)),))
 
 
@@ -51,6 +53,7 @@ def test_nothing_in_nothing_out() -> None:
 
 def test_the_sweeps_are_those_of_the_lidars() -> None:
     """Places, headings, field of view and period; the two sides share no code."""
+    assert TO_AXLE == CG_TO_REAR_AXLE
     pattern = BeamPattern()
     for sweep, mount in zip(SWEEPS, MOUNTS, strict=True):
         assert (sweep.x, sweep.y, sweep.heading) == pytest.approx((mount.x - TO_AXLE, mount.y, mount.yaw))

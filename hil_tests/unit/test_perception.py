@@ -212,6 +212,19 @@ def test_frozen_sensors_are_noticed(track: Track) -> None:
     assert statuses == [good, frozen, good]
 
 
+def test_a_buffer_that_is_used_again_is_no_frozen_scan(track: Track) -> None:
+    perception, tick = Perception(track), drive(track, 20.0)[0]
+    points, tracks = cloud(), tracks_of(3)
+    for number in range(3):
+        points[0, 0] = number
+        tracks["rolling_count"] = number % 2
+        perceived = perception.step(50_000 * number, tick.motion, LidarScan(points, ages()), tracks)
+        assert perceived.lidar is not None
+        assert perceived.radar is not None
+        assert perceived.lidar.status is DetectionStatus.OK
+        assert perceived.radar.status is RadarStatus.OK
+
+
 def test_frozen_for_long_is_an_error(track: Track) -> None:
     perception = Perception(track)
     scan, tracks = LidarScan(cloud(), ages()), tracks_of(3)
