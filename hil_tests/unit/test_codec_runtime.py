@@ -274,6 +274,16 @@ def test_finish_keeps_a_counter_that_is_too_wide_inside_its_field() -> None:
     assert counter[0] == 0xF
 
 
+def test_finish_writes_no_byte_behind_the_data() -> None:
+    """A frame is one of many in an outbox, and ends with its data."""
+    row = lib.codec_find(Bus.CAN1, STEERING_CMD, False)
+    for filled in (0x00, 0xFF):
+        frames = ffi.new("can_frame[2]")
+        ffi.buffer(frames)[:] = bytes(ffi.buffer(steering_frame(0))) + bytes([filled]) * FRAME_SIZE
+        lib.codec_finish(frames, row, ffi.new("uint8_t *", 7))
+        assert bytes(ffi.buffer(frames))[FRAME_SIZE:] == bytes([filled]) * FRAME_SIZE
+
+
 def test_finish_leaves_a_plain_message_alone() -> None:
     frame = c_frame(database.message("gear_shift_cmd").frame(3))
     before = bytes(ffi.buffer(frame))
