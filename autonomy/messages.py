@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from autonomy.estimation import GnssSample, ImuSample
 from autonomy.geodesy import LocalTangentPlane
 from autonomy.localisation import Estimate
+from autonomy.opponents.tracker import TrackedObject
 from autonomy.planning import Plan
 from autonomy.radar_inbox import RadarInbox
-from autonomy.status import NodeId, NodeStatus, SsmStatus, VehicleStatus
+from autonomy.status import NodeId, NodeStatus, SensorId, SsmStatus, VehicleStatus
 from autonomy.wall_fit import WallFit
 from dbc.codec import MessageCodec, database
 from dbc.errors import CodecError
@@ -250,14 +251,77 @@ class WallWriter:
 class NodeWriter:
     """Status of one node. The heartbeat counts its finished computations."""
 
+    MESSAGE = "node_status"
+
     def __init__(self, node: NodeId) -> None:
-        self._message = database.message("node_status")
+        self._message = database.message(self.MESSAGE)
         self._node = node
         self.heartbeat = 0
 
     def frame(self, status: NodeStatus, reliability: float) -> bytes:
         """Frame of this cycle. reliability: 0..1 of the node's result."""
         return self._message.frame(self._node, status, 100.0 * reliability, self.heartbeat & 0xFFFF, 0)
+
+
+class PerceptionStatusWriter(NodeWriter):
+    """Status of one node of perception, from LIDAR_DETECTION on; the rest is as of any node."""
+
+    MESSAGE = "perception_status"
+
+
+class SensorNoticeWriter:
+    """Notice of each scan that came from one sensor."""
+
+    def __init__(self, sensor: SensorId) -> None:
+        self._message = database.message("sensor_notice")
+        self._sensor = sensor
+
+    def frame(self, sequence: int, size: int, age_us: int) -> bytes:
+        """Frame of one scan.
+
+        Parameters
+        ----------
+        sequence : number of the scan, counts the new ones; any size.
+        size : points of a LiDAR scan, frames of a radar scan; not negative, saturates.
+        age_us : of the data now; not negative, saturates.
+        """
+        return _saturated(self._message, (self._sensor, sequence & 0xFFFF, size, age_us // 1000))
+
+
+class ObjectWriter:
+    """A list of tracked objects: its head, then place and motion object by object."""
+
+    OBJECTS = 6
+
+    def __init__(self) -> None:
+        self._list = database.message("object_list")
+        self._place = database.message("object_place")
+        self._motion = database.message("object_motion")
+        self._counter = 0
+
+    def frames(self, objects: Sequence[TrackedObject], now_us: int) -> bytes:
+        """Frames of one list; values beyond what the wire carries saturate.
+
+        Parameters
+        ----------
+        objects : nearest first; those after the sixth are left out.
+        now_us : time of the tick, not before that of any object.
+        """
+        self._counter = counter = (self._counter + 1) & 0xF
+        sent = objects[: self.OBJECTS]
+        age_us = max((now_us - one.time_us for one in sent), default=0)
+        frames = [_saturated(self._list, (counter, len(sent), age_us // 1000))]
+        for index, one in enumerate(sent):
+            motion = (one.vx, one.vy, _worst_deviation(one), 100.0 * one.existence)
+            frames.append(_saturated(self._place, (counter, index, one.identity & 0x1FF, one.x, one.y)))
+            frames.append(_saturated(self._motion, (counter, index, *motion)))
+        return b"".join(frames)
+
+
+def _worst_deviation(one: TrackedObject) -> float:
+    """1 sigma of the position in its worst direction, m: root of the larger eigenvalue."""
+    (xx, xy), (_, yy) = one.covariance[:2, :2].tolist()
+    return math.sqrt(0.5 * (xx + yy) + math.hypot(0.5 * (xx - yy), xy))
 
 
 def _saturated(message: MessageCodec, values: tuple[float, ...]) -> bytes:

@@ -7,11 +7,22 @@ from enum import IntEnum
 
 
 class NodeId(IntEnum):
-    """Registered nodes, as node_id."""
+    """Registered nodes, as node_id and, from LIDAR_DETECTION on, as perception_id."""
 
     ESTIMATION = 0
     PLANNING = 1
     WALL = 2
+    LIDAR_DETECTION = 3
+    RADAR_DETECTION = 4
+    TRACKING = 5
+    PREDICTION = 6
+
+
+class SensorId(IntEnum):
+    """Sensors that autonomy gives notice of, as sensor_id."""
+
+    LIDAR = 3
+    RADAR = 4
 
 
 class NodeStatus(IntEnum):

@@ -173,7 +173,7 @@ def measure_prediction(track: Track, cars: int, steps: int) -> Contender:
         for car in range(cars):
             x, y, yaw = track.pose_at(50.0 * car + 60.0 * DT * k, 2.0)
             vx, vy = 60.0 * np.cos(yaw), 60.0 * np.sin(yaw)
-            zero = np.zeros((6, 6)), np.ones(3), np.ones(3)
+            zero = np.zeros((6, 6)), np.ones(3), np.ones(3), 1.0
             objects.append(TrackedObject(car, SCAN_US * k, SCAN_US * k, x, y, 0.0, vx, vy, yaw, 0.0, *zero))
         contender.time(predictor.step, SCAN_US * k, objects)
     return contender

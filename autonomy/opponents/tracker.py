@@ -56,6 +56,7 @@ class TrackedObject(NamedTuple):
     covariance : (6, 6), of x, y, z, vx, vy and yaw rate.
     size : (3,), length, width, height, m.
     model_weights : (m,), probabilities of the motion models.
+    existence : probability that there is a car, by the score and even odds before the first scan.
     """
 
     identity: int
@@ -71,6 +72,7 @@ class TrackedObject(NamedTuple):
     covariance: FloatArray
     size: FloatArray
     model_weights: FloatArray
+    existence: float
 
 
 @dataclass(frozen=True)
@@ -258,6 +260,7 @@ class OpponentTracker:
         rows = np.array([0, 1, 3, 4, 5])
         covariance[:, rows[:, None], rows] = plane
         covariance[:, 2, 2] = tracks.height_variance + limits.height_noise**2 * dt
+        existence = 1.0 / (1.0 + np.exp(-tracks.score))
         return [
             TrackedObject(
                 identity=int(tracks.identity[i]),
@@ -273,6 +276,7 @@ class OpponentTracker:
                 covariance=covariance[i],
                 size=tracks.size[i],
                 model_weights=belief.weight[i],
+                existence=float(existence[i]),
             )
             for i, (x, y, vx, vy, yaw_rate) in enumerate(mean.tolist())
         ]

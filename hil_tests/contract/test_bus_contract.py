@@ -10,6 +10,7 @@ import fmpy
 import pytest
 
 import bridge
+from autonomy.status import NodeId, NodeStatus, SensorId
 from bridge._native import lib
 from bridge.bus import BIT_RATES
 from bridge.plant import REQUIRED_INPUTS, REQUIRED_OUTPUTS
@@ -36,11 +37,29 @@ def test_bit_rates_are_those_of_the_dbc_files(stem: str, bus: Bus):
         (SsmState, "ssm_status", "ssm_state"),
         (TrackFlag, "base_to_car_summary", "track_flag"),
         (VehicleFlag, "base_to_car_summary", "veh_flag"),
+        (NodeStatus, "node_status", "node_status_code"),
+        (NodeStatus, "perception_status", "perception_status_code"),
+        (SensorId, "sensor_notice", "sensor_id"),
     ],
 )
 def test_states_are_the_value_tables_of_the_dbc_files(states: type, message: str, signal: str):
     choices = database.facts(message).message.get_signal_by_name(signal).choices
     assert {state.value: state.name for state in states} == {code: str(name) for code, name in choices.items()}
+
+
+def test_every_node_reports_in_one_of_two_messages_of_the_same_layout():
+    names = [
+        database.message("node_status").choices["node_id"],
+        database.message("perception_status").choices["perception_id"],
+    ]
+    assert names[0].keys().isdisjoint(names[1])
+    assert {node.value: node.name for node in NodeId} == names[0] | names[1]
+    one, other = (database.facts(name) for name in ("node_status", "perception_status"))
+    assert [len(each) for each in names] == [one.frames_per_cycle, other.frames_per_cycle]
+    assert one.cycle_ms == other.cycle_ms
+    for mine, its in zip(one.message.signals, other.message.signals, strict=True):
+        assert mine.name.replace("node_", "perception_", 1) == its.name
+        assert (mine.start, mine.length, mine.scale, mine.unit) == (its.start, its.length, its.scale, its.unit)
 
 
 def test_schema_names_only_states_and_flags_that_exist():

@@ -19,7 +19,7 @@ from cli_harness import copy_scenarios, edit
 from hub_process import BOUND_S, Hub, until
 
 from autonomy.radar_inbox import RadarInbox, ReceivedScan, ScanStatus
-from autonomy.status import NodeId, NodeStatus
+from autonomy.status import NodeStatus
 from bridge._native import ffi
 from bridge.bus import CHANNELS
 from bridge.realtime.cycle_log import read_cycle_log
@@ -227,7 +227,7 @@ def test_both_speak_in_every_slot_and_stop_when_asked(tmp_path: Path, hub: Hub, 
             assert [run.ended(name) for name in BUSES] == [0, 0]
             report = run.report()
         status = database.message("node_status")
-        goodbye = [(node, NodeStatus.INACTIVE) for node in NodeId]
+        goodbye = [(node, NodeStatus.INACTIVE) for node in status.choices["node_id"]]
 
         def said() -> list[tuple[float, ...]]:
             listen()

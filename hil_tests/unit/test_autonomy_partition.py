@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from autonomy.partition import AutonomyPartition
-from autonomy.status import Mission, NodeId, NodeStatus
+from autonomy.status import Mission, NodeStatus
 from autonomy.track_files import track_from_csv
 from autonomy.vehicle import VehicleLimits, load_vehicle
 from dbc.codec import database
@@ -27,6 +27,7 @@ NAMES = (
     "trajectory_motion",
     "node_status",
 )
+NODES = sorted(database.message("node_status").choices["node_id"])
 
 
 class Rig:
@@ -106,7 +107,7 @@ def test_before_launching_nothing_but_not_initialized_nodes(rig):
     for state in (SsmState.BOOT, SsmState.CONFIG_CHECK, SsmState.FULL_BRAKE):
         rig.ssm = state
         for result in rig.run(10):
-            assert [v[1] for v in result.pop("node_status")] == [NodeStatus.NOT_INITIALIZED] * len(NodeId)
+            assert [v[1] for v in result.pop("node_status")] == [NodeStatus.NOT_INITIALIZED] * len(NODES)
             assert not any(result.values())
 
 
@@ -124,7 +125,7 @@ def test_nodes_come_up_in_order(rig):
 
 def test_nodes_report_every_cycle_with_a_heartbeat_that_moves(rig):
     results = rig.run(100)
-    assert all(sorted(v[0] for v in r["node_status"]) == list(NodeId) for r in results)
+    assert all(sorted(v[0] for v in r["node_status"]) == NODES for r in results)
     beats = np.array([[node(r, n)[3] for n in (0, 1)] for r in results[10:]])
     assert np.all(np.diff(beats[:, 0]) == 1)
     assert np.all(beats[5:, 1] - beats[:-5, 1] == 1)  # 20 Hz

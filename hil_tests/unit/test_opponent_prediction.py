@@ -60,6 +60,7 @@ def seen(s, d, progress, now_us, identity=1, seen_us=None):
         np.eye(6),
         np.ones(3),
         np.ones(3) / 3.0,
+        1.0,
     )
 
 

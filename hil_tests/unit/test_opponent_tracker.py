@@ -82,6 +82,21 @@ def test_a_track_ends_when_nobody_knows_where_it_is():
     assert deviations == sorted(deviations)
 
 
+def test_that_it_exists_is_less_and_less_likely_without_scans_that_hold_it():
+    tracker = OpponentTracker(limits=TrackerLimits(deviation=50.0))
+    feed(tracker, straight_scans(0, 40), SURE)
+    (sure,) = tracker.objects(39 * SCAN_US)
+    # The test that confirms a track takes clutter for a car once in a million.
+    assert 1.0 - 1.5e-6 < sure.existence < 1.0
+    found = [sure.existence]
+    for scan in empty_scans(40, 70):
+        tracker.update(scan.time_us, scan, SURE)
+        found += [each.existence for each in tracker.objects(scan.time_us)]
+    assert len(found) > 10
+    assert np.all(np.diff(found) < 0.0)
+    assert 0.0 <= found[-1] < 0.01
+
+
 def test_without_any_scan_the_output_ends_too():
     tracker = OpponentTracker()
     feed(tracker, straight_scans(0, 40), SURE)
