@@ -215,9 +215,8 @@ class PlanWriter:
         points[:, 2], points[:, 3], points[:, 4], points[:, 5] = plan.yaw, plan.curvature, plan.speed, plan.bank
         motion = self._motion.frames(points)
         both = b"".join(pose[i : i + FRAME_SIZE] + motion[i : i + FRAME_SIZE] for i in range(0, len(pose), FRAME_SIZE))
-        header = self._header.frame(
-            self._counter, count, plan.mission, plan.ends_in_stop, 0, plan.origin_s, (now_us // 1000) & 0xFFFFFFFF
-        )
+        flags = (plan.mission, plan.ends_in_stop, plan.follows)
+        header = self._header.frame(self._counter, count, *flags, plan.origin_s, (now_us // 1000) & 0xFFFFFFFF)
         step = 2 * self.POINTS_PER_TICK * FRAME_SIZE
         portions = [both[start : start + step] for start in range(0, len(both), step)]
         portions[0] = header + portions[0]

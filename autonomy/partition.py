@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
+from autonomy.detection.motion_compensation import AgedCloud
 from autonomy.localisation import Estimate, Localiser, Quality
 from autonomy.messages import EstimateWriter, Inbox, NodeWriter, PlanWriter
+from autonomy.perception_nodes import PerceptionNodes, own_motion
 from autonomy.planning import Planner
 from autonomy.race_path import RacePath
 from autonomy.radar_inbox import RadarInbox
@@ -35,9 +34,10 @@ class AutonomyPartition:
     ----------
     track : with an origin; ConfigurationError without.
     vehicle : limits of the car.
+    perception_map : track by which perception tells what is on it; None for a car without perception.
     """
 
-    def __init__(self, track: Track, vehicle: VehicleLimits) -> None:
+    def __init__(self, track: Track, vehicle: VehicleLimits, perception_map: Track | None = None) -> None:
         if track.origin is None:
             raise ConfigurationError(track.name, "origin", "is missing; positions of the receivers need it")
         self.track = track
@@ -53,6 +53,12 @@ class AutonomyPartition:
         self._estimation = NodeWriter(NodeId.ESTIMATION)
         self._planning = NodeWriter(NodeId.PLANNING)
         self._wall = WallNode(track)
+        #: None in a car without.
+        self.perception: PerceptionNodes | None
+        try:
+            self.perception = None if perception_map is None else PerceptionNodes(perception_map)
+        except ValueError as error:
+            raise ConfigurationError(track.name, "width", str(error)) from None
         #: The newest; None before the first.
         self.estimate: Estimate | None = None
         self._launched = False
@@ -77,17 +83,18 @@ class AutonomyPartition:
 
     @property
     def radar(self) -> RadarInbox:
-        """Scans of the front radar, for whoever takes them; no module does yet."""
+        """Scans of the front radar; perception takes them where there is one."""
         return self._inbox.radar
 
-    def tick(self, now_us: int, frames: Buffer, cloud: NDArray[np.float32] | None = None) -> bytes:
+    def tick(self, now_us: int, frames: Buffer, cloud: AgedCloud | None = None) -> bytes:
         """One minor frame.
 
         Parameters
         ----------
         now_us : simulated time.
         frames : what arrived on CAN-S, CAN-A and CAN-R since the last tick, 24 bytes each.
-        cloud : points of the LiDAR scan of this tick, shape (n, 3), m, vehicle axes; None without one.
+        cloud : scan of the LiDARs that ended in this tick, from the ground below the centre of gravity; None without
+            one.
 
         Returns
         -------
@@ -102,7 +109,11 @@ class AutonomyPartition:
                 return self._all(NodeStatus.NOT_INITIALIZED)
             self._launched = True
             return self._all(NodeStatus.INITIALIZED)
-        return self._localise(now_us) + self._wall.tick(now_us, cloud)
+        frames = self._localise(now_us)
+        motion = None if self.estimate is None else own_motion(self.estimate, self.track)
+        if self.perception is not None:
+            frames += self.perception.tick(now_us, motion, cloud, inbox.radar.take(now_us))
+        return frames + self._wall.tick(now_us, cloud, motion)
 
     def _localise(self, now_us: int) -> bytes:
         """Frames of estimation and planning."""
@@ -134,7 +145,8 @@ class AutonomyPartition:
         ssm, vehicle = self._inbox.ssm_status(), self._inbox.vehicle_status()
         if ssm is None or vehicle is None:
             return
-        plan = self._planner.plan(estimate, ssm, vehicle)
+        predictions = () if self.perception is None else self.perception.predictions
+        plan = self._planner.plan(estimate, ssm, vehicle, predictions)
         if abs(self._planner.cross_track) > _OFF_PATH:
             self._planning_status = NodeStatus.ERROR
             return
@@ -144,7 +156,8 @@ class AutonomyPartition:
 
     def _all(self, status: NodeStatus) -> bytes:
         """No node computes."""
-        return self._status(status, 0.0, status, 0.0) + self._wall.inactive(status)
+        perception = b"" if self.perception is None else self.perception.inactive(status)
+        return self._status(status, 0.0, status, 0.0) + self._wall.inactive(status) + perception
 
     def _status(
         self, estimation: NodeStatus, estimation_reliability: float, planning: NodeStatus, planning_reliability: float

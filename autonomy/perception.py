@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import deque
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Any, NamedTuple
@@ -10,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from autonomy.detection.boundary_estimate import BoundaryEstimate
-from autonomy.detection.cloud import DetectionStatus, Pose, check_cloud
+from autonomy.detection.cloud import DetectionStatus, Pose
 from autonomy.detection.detector import DetectionConfig, Detections, Detector
 from autonomy.detection.fusion import Fused, Fusion, SensorObjects, scan_of
-from autonomy.detection.motion_compensation import LidarScan, MotionCompensation
+from autonomy.detection.motion_compensation import AgedCloud, MotionCompensation, check_scan
 from autonomy.detection.radar import OwnMotion, RadarDetections, RadarDetector, RadarStatus
 from autonomy.detection.road_objects import RoadObjects, levelled, lidar_objects, no_objects
 from autonomy.opponents.imm_pdaf import SensorModel
@@ -27,8 +29,8 @@ OUTPUT_PERIOD_US = 20_000
 #: Three scans: as long without one of a sensor, and its detection says that it fails.
 SILENCE_US = 150_000
 
-_GOOD_SCANS = {DetectionStatus.OK, DetectionStatus.TOO_MANY_OBJECTS}
-_GOOD_RADAR = {RadarStatus.OK, RadarStatus.EMPTY}
+#: Ticks for which the own motion is kept: a radar scan is some 20 ms on its way.
+_MOTIONS = 8
 
 
 class Source(IntEnum):
@@ -36,6 +38,13 @@ class Source(IntEnum):
 
     LIDAR = 0
     RADAR = 1
+
+
+#: What becomes of scans that can be used.
+GOOD: Mapping[Source, frozenset[DetectionStatus] | frozenset[RadarStatus]] = {
+    Source.LIDAR: frozenset({DetectionStatus.OK, DetectionStatus.TOO_MANY_OBJECTS}),
+    Source.RADAR: frozenset({RadarStatus.OK, RadarStatus.EMPTY}),
+}
 
 
 @dataclass(frozen=True)
@@ -117,14 +126,16 @@ class Perception:
         self._good_us: dict[Source, int | None] = dict.fromkeys(Source)
         self._last_cloud: object = None
         self._last_tracks: object = None
+        self._motions: deque[tuple[int, OwnMotion]] = deque(maxlen=_MOTIONS)
         self._output = -1
 
     def step(
         self,
         now_us: int,
         motion: OwnMotion | None,
-        scan: LidarScan | None = None,
+        scan: AgedCloud | None = None,
         radar: object | None = None,
+        radar_us: int | None = None,
     ) -> Perceived:
         """One tick.
 
@@ -132,19 +143,23 @@ class Perception:
         ----------
         now_us : time of the tick.
         motion : of the car now, as estimated; None as long as there is no estimate: scans are then of no use.
-        scan : of the LiDARs, that ended in this tick.
-        radar : TRACK_DTYPE, tracks of this tick.
+        scan : of the LiDARs, that ended in this tick, see `AgedCloud`.
+        radar : TRACK_DTYPE, tracks that came in this tick.
+        radar_us : when the radar measured them; now by default.
         """
         found = heard = objects = fused = used = tracks = predictions = None
         if motion is not None:
+            self._motions.append((now_us, motion))
             if radar is not None:
-                heard = self._listen(now_us, radar, motion)
-                if heard.status in _GOOD_RADAR:
+                measured_us = now_us if radar_us is None else radar_us
+                then = self._motion_at(measured_us)
+                heard = self._listen(measured_us, radar, then)
+                if heard.status in GOOD[Source.RADAR]:
                     self._good_us[Source.RADAR] = now_us
-                    self._heard = _Heard(SensorObjects(now_us, heard.objects), motion.pose)
+                    self._heard = _Heard(SensorObjects(measured_us, heard.objects), then.pose)
             if scan is not None:
                 found, objects = self._look(scan, motion)
-                if found.status in _GOOD_SCANS:
+                if found.status in GOOD[Source.LIDAR]:
                     self._good_us[Source.LIDAR] = now_us
                     both = SensorObjects(now_us, objects), self._heard and self._heard.objects
                     fused = self._fusion.step(now_us, *both, motion.yaw_rate)
@@ -167,6 +182,10 @@ class Perception:
             return NodeStatus.INITIALIZED
         return NodeStatus.ERROR if now_us - good_us > SILENCE_US else NodeStatus.OK
 
+    def _motion_at(self, time_us: int) -> OwnMotion:
+        """The motion that was known nearest to a time."""
+        return min(self._motions, key=lambda known: abs(known[0] - time_us))[1]
+
     def _listen(self, now_us: int, tracks: object, motion: OwnMotion) -> RadarDetections:
         before, self._last_tracks = self._last_tracks, _kept(tracks)
         # One bit toggles with each scan, so the same tracks are the same scan. Without tracks there is no bit.
@@ -174,22 +193,20 @@ class Perception:
             return RadarDetections.nothing(RadarStatus.FROZEN)
         return self._radar_detector.step(now_us, tracks, motion)
 
-    def _look(self, scan: LidarScan, motion: OwnMotion) -> tuple[Detections, RoadObjects]:
-        compensation = self.config.compensation
-        cloud: object = scan.cloud
-        before, self._last_cloud = self._last_cloud, _kept(cloud)
+    def _look(self, scan: object, motion: OwnMotion) -> tuple[Detections, RoadObjects]:
+        before, self._last_cloud = self._last_cloud, _kept(scan)
+        status = check_scan(scan)
         # Noise makes each scan another one, to the last bit.
-        if isinstance(cloud, np.ndarray) and cloud.size and _same(cloud, before):
-            return Detections.nothing(DetectionStatus.FROZEN), no_objects()
-        if check_cloud(cloud) is DetectionStatus.OK:
-            if not _has_ages(scan):
-                cloud = None
-            elif motion.plausible:
-                cloud = compensation.cloud(scan, motion.vx, motion.vy, motion.yaw_rate)
+        if status is DetectionStatus.OK and _same(np.asarray(scan), before):
+            status = DetectionStatus.FROZEN
+        elif status is DetectionStatus.OK and not motion.plausible:
+            status = DetectionStatus.BAD_POSE
+        if status is not DetectionStatus.OK:
+            return Detections.nothing(status), no_objects()
+        compensation = self.config.compensation
+        cloud = compensation.cloud(np.asarray(scan), motion.vx, motion.vy, motion.yaw_rate)
         found = self._detector.step(cloud, motion.pose)
         objects = compensation.objects(lidar_objects(found), motion.vx, motion.vy)
-        if not motion.pose.finite:
-            return found, objects
         middle = 0.5 * (found.objects["z_low"] + found.objects["z_high"]).astype(np.float64)
         return found, levelled(objects, middle - self.config.middle, motion.pose)
 
@@ -203,10 +220,6 @@ def _same(array: NDArray[Any], before: object) -> bool:
     """Whether two arrays hold the same bytes."""
     if not isinstance(before, np.ndarray) or array.dtype != before.dtype or array.shape != before.shape:
         return False
-    return array.tobytes() == before.tobytes()
-
-
-def _has_ages(scan: LidarScan) -> bool:
-    """Whether each point has a time; a point without one can be anywhere."""
-    age: object = scan.age
-    return isinstance(age, np.ndarray) and age.shape == scan.cloud.shape[:1] and bool(np.isfinite(age).all())
+    # Scans of one place differ from the first points on.
+    first = slice(0, 64)
+    return array[first].tobytes() == before[first].tobytes() and array.tobytes() == before.tobytes()

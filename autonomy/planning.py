@@ -8,12 +8,15 @@ does the plan give way to the car.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from autonomy.following import CarAhead, FollowSettings, cars_ahead, speed_behind
 from autonomy.frenet import FloatArray
 from autonomy.localisation import Estimate
+from autonomy.opponents.prediction import Prediction
 from autonomy.race_path import Path, RacePath
 from autonomy.status import Mission, SsmStatus, VehicleStatus
 from autonomy.vehicle import VehicleLimits
@@ -34,6 +37,7 @@ class Plan:
     origin_s : station of the first point on the track's centre line, m.
     x, y, yaw, curvature, speed, bank : of the points; heading and curvature of the path.
     spacing : of the points along the race line, m.
+    follows : it is slower than it would be without the cars ahead.
     """
 
     mission: Mission
@@ -46,6 +50,7 @@ class Plan:
     speed: FloatArray
     bank: FloatArray
     spacing: float
+    follows: bool
 
 
 @dataclass(frozen=True)
@@ -105,13 +110,20 @@ class Planner:
     ----------
     path : race line of the track.
     vehicle : limits of the car.
-    settings : see there.
+    settings, follow : see there.
     """
 
     _TABLE_STEP = 0.5  # m/s
 
-    def __init__(self, path: RacePath, vehicle: VehicleLimits, settings: PlannerSettings | None = None) -> None:
+    def __init__(
+        self,
+        path: RacePath,
+        vehicle: VehicleLimits,
+        settings: PlannerSettings | None = None,
+        follow: FollowSettings | None = None,
+    ) -> None:
         self._settings = settings or PlannerSettings()
+        self._follow = follow or FollowSettings()
         self._race_path = path
         self._use(path.race)
         self._laid = False
@@ -129,15 +141,23 @@ class Planner:
             * max(0.0, vehicle.acceleration_range(speed, 0.0, 0.0, 0.0, self._settings.traction_margin)[1])
             for speed in np.arange(0.0, top + 2.0 * self._TABLE_STEP, self._TABLE_STEP).tolist()
         ]
+        self._follows = False
         self.cross_track = 0.0
 
-    def plan(self, estimate: Estimate, ssm: SsmStatus, vehicle: VehicleStatus) -> Plan:
+    def plan(
+        self,
+        estimate: Estimate,
+        ssm: SsmStatus,
+        vehicle: VehicleStatus,
+        predictions: Iterable[Prediction] = (),
+    ) -> Plan:
         """Make the plan of this cycle.
 
         Parameters
         ----------
         estimate : of the car's motion now.
         ssm, vehicle : newest status of the SSM and the car.
+        predictions : of the other cars, from now on.
         """
         station, _ = self._race_path.project(estimate.x, estimate.y)
         mission = choose_mission(ssm, vehicle, self._blend_left <= 0.0)
@@ -157,10 +177,13 @@ class Planner:
         max_speed = ssm.max_speed
         if mission in (Mission.PIT_OUT, Mission.CAUTION):
             max_speed = min(max_speed, vehicle.round_target_speed)
+        self._follows = False
         if mission is Mission.HOLD:
             self._speed, self._acceleration = [0.0] * POINTS, [0.0] * POINTS
         else:
-            self._speed, self._acceleration = self._march((first, step), (speed, acceleration), max_speed, ssm)
+            node = station / self._race_path.spacing
+            cars = cars_ahead(predictions, self._race_path, self._path, node, self._follow)
+            self._speed, self._acceleration = self._march((first, step), (speed, acceleration), max_speed, ssm, cars)
         self._first, self._step, self._mission = first, step, mission
         return self._cut()
 
@@ -234,14 +257,24 @@ class Planner:
         return (first + math.ceil(distance / self._race_path.spacing)) % self._race_path.count
 
     def _march(
-        self, grid: tuple[int, int], start: tuple[float, float], max_speed: float, ssm: SsmStatus
+        self,
+        grid: tuple[int, int],
+        start: tuple[float, float],
+        max_speed: float,
+        ssm: SsmStatus,
+        cars: Sequence[CarAhead],
     ) -> tuple[list[float], list[float]]:
-        """Speeds of the points on the grid (first node, nodes per point), and the accelerations that lead to them."""
+        """Speeds of the points on the grid (first node, nodes per point), and the accelerations that lead to them.
+
+        Cars tell their distance from the own one, which is a little ahead of the first point.
+        """
         (first, step), (speed, acceleration) = grid, start
         count, spacing = self._race_path.count, self._race_path.spacing
         distance = step * spacing
         jerk, deceleration = self._settings.jerk, self._deceleration(ssm)
         limit, drive, stop = self._limit_below(max_speed), self._drive, self._stop_node
+        hardest = min(self._follow.hard_deceleration, max(0.5, ssm.max_deceleration))
+        time_s, way = 0.0, -self._settings.behind
         speeds, accelerations = [speed], [acceleration]
         for i in range(1, POINTS):
             node = (first + i * step) % count
@@ -257,8 +290,15 @@ class Planner:
                 stopped = nodes_left <= 0
                 if not stopped:
                     wish = min(wish, -0.5 * speed * speed / (nodes_left * spacing + distance))
+            onset = jerk
+            if cars:
+                way += distance
+                held = self._wish_behind(speed, speed_behind(cars, time_s, way, self._follow), hardest)
+                if held < wish:
+                    wish, self._follows = held, True
+                    onset = self._follow.jerk if held < 0.0 else jerk
             # Jerk times the time to the next point; a car that starts takes its first acceleration at once.
-            change = jerk * distance / max(speed, 1.0)
+            change = onset * distance / max(speed, 1.0)
             squared = speed * speed + 2.0 * distance * max(acceleration - change, min(acceleration + change, wish))
             new_speed = 0.0 if stopped or squared <= 0.0 else math.sqrt(squared)
             arrived = (new_speed > max_speed) != (speed > max_speed)
@@ -269,10 +309,17 @@ class Planner:
                 slowest = math.sqrt(max(0.0, speed * speed - 2.0 * distance * self._settings.hard_deceleration))
                 new_speed = max(limit[node], min(new_speed, slowest))
             acceleration = 0.0 if arrived else (new_speed * new_speed - speed * speed) / (2.0 * distance)
+            time_s += 2.0 * distance / max(speed + new_speed, 0.1)
             speed = new_speed
             speeds.append(speed)
             accelerations.append(acceleration)
         return speeds, accelerations
+
+    def _wish_behind(self, speed: float, allowed: float, hardest: float) -> float:
+        """Acceleration by which a speed comes to the one that is allowed behind another car."""
+        if speed <= allowed:
+            return math.sqrt(2.0 * self._settings.jerk * (allowed - speed))
+        return -min(hardest, math.sqrt(2.0 * self._follow.jerk * (speed - allowed)))
 
     def _cut(self) -> Plan:
         nodes = (self._first + self._step * np.arange(POINTS)) % self._race_path.count
@@ -288,4 +335,5 @@ class Planner:
             speed=np.array(self._speed),
             bank=path.bank[nodes],
             spacing=self._step * self._race_path.spacing,
+            follows=self._follows,
         )

@@ -27,7 +27,7 @@ class Path:
     ----------
     x, y : m. yaw : of the path, (-pi, pi], rad. curvature : 1/m. bank : rad.
     speed_limit : m/s, with room to brake for what comes.
-    track_station : of the node on the track's centre line, m.
+    track_station, track_offset : of the node along the track's centre line, and to its left, m.
     """
 
     x: FloatArray
@@ -37,6 +37,7 @@ class Path:
     bank: FloatArray
     speed_limit: FloatArray
     track_station: FloatArray
+    track_offset: FloatArray
 
 
 @dataclass(frozen=True)
@@ -81,7 +82,10 @@ class RacePath:
         self.count, self.spacing, self.length = count, self.curve.spacing, self.curve.length
         self._projector = Projector(self.curve)
         self._slope = (np.roll(self.curve.curvature, -1) - np.roll(self.curve.curvature, 1)) / (2.0 * self.spacing)
-        stations, _ = lateral_offsets(track, self.curve)
+        stations, offsets = lateral_offsets(track, self.curve)
+        self._track_length = track.length
+        unwrapped = np.unwrap(stations, period=track.length)
+        self._node_stations = np.append(unwrapped, unwrapped[0] + track.length)
         bank = np.array([track.road_at_station(station)[0] for station in stations.tolist()])
         self.race = Path(
             x=self.curve.x,
@@ -93,6 +97,7 @@ class RacePath:
                 PathShape(self.spacing, self.curve.curvature, bank), vehicle, self._settings.limits
             ),
             track_station=stations,
+            track_offset=offsets,
         )
 
     def limit_below(self, path: Path, max_speed: float) -> FloatArray:
@@ -109,6 +114,12 @@ class RacePath:
     def project(self, x: float, y: float) -> tuple[float, float]:
         """Station on the race line, [0, length), and offset to its left, m."""
         return self._projector.project(x, y)
+
+    def nodes_at(self, track_station: FloatArray) -> FloatArray:
+        """Positions among the nodes, [0, count), beside stations of the track's centre line, m; same shape."""
+        beyond = np.mod(track_station - self._node_stations[0], self._track_length)
+        nodes = np.interp(beyond, self._node_stations - self._node_stations[0], np.arange(self.count + 1.0))
+        return np.asarray(nodes)
 
     def blend(self, x: float, y: float, yaw: float) -> tuple[Path, float]:
         """Path from a pose on to the race line: a quintic in the offset over the station.
@@ -150,7 +161,9 @@ class RacePath:
             yaw=self.race.yaw.copy(),
             curvature=self.race.curvature.copy(),
             speed_limit=self.race.speed_limit.copy(),
+            track_offset=self.race.track_offset.copy(),
         )
+        path.track_offset[nodes] += d
         heading_at = self.curve.heading[nodes]
         path.x[nodes] = self.race.x[nodes] - d * np.sin(heading_at)
         path.y[nodes] = self.race.y[nodes] + d * np.cos(heading_at)

@@ -88,8 +88,8 @@ class Autonomy(Protocol):
         ----------
         now_us : start of the tick, simulated microseconds.
         frames : what its station received since the last tick, 24 bytes each.
-        cloud : points of a LiDAR scan that ended in this tick, shape (n, 3), m, in vehicle axes from the centre of
-            gravity; None when none did.
+        cloud : points of a LiDAR scan that ended in this tick, see `bridge.sensors.lidar.Cloud`: shape (n, 4), x, y
+            and z, m, and age, s; None when none did.
 
         Returns
         -------

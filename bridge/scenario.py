@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
+from enum import StrEnum
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,9 @@ from dbc.states import TrackFlag, VehicleFlag
 __all__ = [
     "Condition",
     "FlagStep",
+    "Opponent",
+    "OpponentStep",
+    "PerceptionMode",
     "Scenario",
     "Situation",
     "SwitchStep",
@@ -52,11 +56,40 @@ class FlagStep:
 
 
 @dataclass(frozen=True)
+class OpponentStep:
+    """Tell an opponent another speed, m/s, or line, m left of the centre line; what is None stays as it is."""
+
+    when: Condition
+    speed_mps: float | None = None
+    d_m: float | None = None
+    acceleration_mps2: float = 5.0
+
+
+@dataclass(frozen=True)
+class Opponent:
+    """Another car, which stands where it starts until its script has it drive."""
+
+    name: str
+    start_s_m: float
+    start_d_m: float
+    script: tuple[OpponentStep, ...] = ()
+
+
+class PerceptionMode(StrEnum):
+    """What the car has to see other cars with."""
+
+    NONE = "none"
+    """Nothing; of the LiDARs a slice, in which there are walls alone."""
+    FULL = "full"
+    """Three LiDARs and the front radar, and the nodes that find and follow cars with them."""
+
+
+@dataclass(frozen=True)
 class Scenario:
     """One run of the bench.
 
     Files are absolute; lengths in m; `profile` is the one of CAN1, see `dbc.buses`; with `radar` the car has the front
-    radar, on CAN-R.
+    radar, on CAN-R; `perception_map` is the track file by which perception takes points to be on the track.
     """
 
     path: Path
@@ -77,6 +110,9 @@ class Scenario:
     time_limit_us: int
     faults: tuple[FaultPlan, ...] = ()
     radar: bool = False
+    perception: PerceptionMode = PerceptionMode.NONE
+    perception_map: Path | None = None
+    opponents: tuple[Opponent, ...] = ()
 
     @property
     def buses(self) -> tuple[Bus, ...]:
@@ -95,6 +131,7 @@ def load_scenario(path: Path) -> Scenario:
     content = read_yaml(path)
     check_schema(path, content, _schema())
     plant = content["plant"]
+    perception = PerceptionMode(content.get("perception", "none"))
     return Scenario(
         path=path,
         name=content["name"],
@@ -115,7 +152,10 @@ def load_scenario(path: Path) -> Scenario:
         finish=condition_of(content["finish"]),
         time_limit_us=microseconds(content["time_limit_s"]),
         faults=read_faults(path, content.get("faults", []), profile(content.get("profile", DEFAULT_PROFILE))),
-        radar=content.get("radar", False),
+        radar=content.get("radar", False) or perception is PerceptionMode.FULL,
+        perception=perception,
+        perception_map=_referenced(path, content, "perception_map") if "perception_map" in content else None,
+        opponents=tuple(_opponent(one) for one in content.get("opponents", [])),
     )
 
 
@@ -160,3 +200,9 @@ def _flag_step(step: Mapping[str, Any]) -> FlagStep:
         vehicle_flag=VehicleFlag[flags["vehicle_flag"]] if "vehicle_flag" in flags else None,
         round_target_speed_mph=flags.get("round_target_speed_mph"),
     )
+
+
+def _opponent(content: Mapping[str, Any]) -> Opponent:
+    script = (OpponentStep(condition_of(step["when"]), **step["set"]) for step in content["script"])
+    start = content["start"]
+    return Opponent(content["name"], float(start["s_m"]), float(start["d_m"]), tuple(script))

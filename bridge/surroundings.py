@@ -17,11 +17,13 @@ from bridge._native import lib
 from bridge.interfaces import Road
 from bridge.laps import LapTimer
 from bridge.operator import OperatorStation, Verdict
+from bridge.opponents import ScriptedCar
 from bridge.plant import Plant
 from bridge.race_control import RaceControl, SafetySwitch
-from bridge.scenario import Condition, Scenario, Situation, Trigger, load_vehicle
-from bridge.sensors.lidar import Cloud
+from bridge.scenario import Condition, PerceptionMode, Scenario, Situation, Trigger, load_vehicle
+from bridge.sensors.lidar import Cloud, due
 from bridge.sensors.suite import SensorSuite
+from bridge.sensors.surfaces import RoadSurface
 from bridge.sensors.truth import Truth, TruthReader
 from bridge.wiring import Wiring
 from dbc.codec import Codec
@@ -53,6 +55,7 @@ class Surroundings:
     Attributes
     ----------
     plant, road, wiring, operator, race_control, laps : the parts, for inspection.
+    opponents : the other cars.
     truth, station, situation : as last observed; station in m along the lap.
     """
 
@@ -66,8 +69,13 @@ class Surroundings:
         self.race_control = RaceControl(scenario.race_control)
         self.laps = LapTimer(road.length)
         self._safety_switch = SafetySwitch(scenario.safety_switch)
+        spatial = road if scenario.perception is PerceptionMode.FULL else None
         axle = load_vehicle(scenario.vehicle).get("cg_to_rear_axle", 0.0)
-        self._sensors = SensorSuite(road.origin, scenario.seed, road.walls(), axle, scenario.radar)
+        self._sensors = SensorSuite(
+            road.origin, scenario.seed, road.walls(), axle, radar=scenario.radar, spatial=spatial
+        )
+        surface = RoadSurface(road)
+        self.opponents = [ScriptedCar(opponent, road, surface) for opponent in scenario.opponents]
         self._truth_reader = TruthReader(plant.output_names)
         self.truth: Truth
         self.station: float
@@ -92,7 +100,9 @@ class Surroundings:
             raise
 
     def act(self) -> None:
-        """The person at the switch and race control do what the situation asks for."""
+        """The person at the switch, race control and other cars do what the situation asks for."""
+        for car in self.opponents:
+            car.act(self.situation)
         self._safety_switch.tick(self.situation, self.wiring.raptor_in)
         laps_s = self.laps.laps_s
         self.race_control.tick(
@@ -102,11 +112,11 @@ class Surroundings:
     def sense(self, now_us: int) -> bytes:
         """Sample the car for the ECUs' wires; returns the frames that sensors have for CAN-S and CAN-R."""
         self.wiring.sense()
-        return self._sensors.emit(now_us, self.truth)
+        return self._sensors.emit(now_us, self.truth, [car.outline for car in self.opponents])
 
     def scan(self, now_us: int) -> Cloud | None:
         """Points that the LiDARs see in this tick, see `bridge.interfaces.Autonomy`; None when no scan is due."""
-        return self._sensors.scan(now_us, self.truth)
+        return self._sensors.scan(now_us, self.truth, [car.body for car in self.opponents] if due(now_us) else ())
 
     def advance(self, time_s: float, change: Callable[[NDArray[np.float64]], None] | None = None) -> None:
         """Drive the car by the ECUs' wires for one tick, from `time_s` of the plant's own time.
@@ -120,6 +130,8 @@ class Surroundings:
         if change is not None:
             change(self.plant.inputs)
         self.plant.step(time_s, TICK_US * 1e-6)
+        for car in self.opponents:
+            car.advance(TICK_US * 1e-6)
 
     def observe(self, now_us: int, sys_state: int, ct_state: int) -> None:
         """Look at the car: what the people, the sensors and the road of this tick depend on.

@@ -19,13 +19,13 @@ from rich.table import Table
 from autonomy.frenet import FloatArray
 from autonomy.track import Track
 from autonomy.track_files import load_track
-from bridge.sensors.lidar import MOUNTS
+from bridge.sensors.lidar import AXLE_HEIGHT, MOUNTS
 from bridge.sensors.spatial_lidar import BeamPattern, Motion, SpatialLidar
 from bridge.sensors.surfaces import ASPHALT, track_mesh
 from dbc.errors import RaceloopError
 from scenarios import DIRECTORY
 from tools.exit_status import ExitStatus
-from tools.lidar_scene import AXLE_HEIGHT, COLUMNS, ELEVATION_DEG, LINES, LidarScene
+from tools.lidar_scene import COLUMNS, ELEVATION_DEG, LINES, LidarScene
 from tools.scan_bench import LATERAL, Times, parse, scenes
 
 TARGET_MS = 3.0  # mean

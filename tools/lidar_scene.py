@@ -17,10 +17,9 @@ from numpy.typing import NDArray
 from autonomy.detection.cloud import Cloud, Pose
 from autonomy.frenet import FloatArray
 from autonomy.track import Track
-from bridge.sensors.lidar import MOUNTS
+from bridge.sensors.lidar import AXLE_HEIGHT, MOUNTS
 from bridge.sensors.surfaces import CAR_PARTS
 
-AXLE_HEIGHT = 0.31  # m, of the rear axle's middle over the ground
 FIELD_OF_VIEW_DEG = 120.0
 COLUMNS, LINES = 480, 64
 ELEVATION_DEG = (-22.0, 8.0)

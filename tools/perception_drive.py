@@ -11,21 +11,21 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from autonomy.detection.cloud import Pose
-from autonomy.detection.motion_compensation import LidarScan
+from autonomy.detection.motion_compensation import AgedCloud
 from autonomy.detection.radar import OwnMotion
 from autonomy.partition import AutonomyPartition
+from autonomy.perception_nodes import own_motion
 from autonomy.track import Track
 from bridge.bench import Bench, Progress
 from bridge.scenario import Condition, Scenario, load_vehicle
 from bridge.sensors import lidar
+from bridge.sensors.lidar import AXLE_HEIGHT
 from bridge.sensors.radar import Radar
 from bridge.sensors.radar_scene import OtherCar
 from bridge.sensors.spatial_lidar import Motion, SpatialLidar
 from bridge.sensors.surfaces import track_mesh
 from bridge.sensors.truth import Truth
 from dbc.radar_tracks import Tracks
-from tools.lidar_scene import AXLE_HEIGHT
 from tools.run import load_road, make_autonomy
 
 
@@ -63,7 +63,8 @@ class _Noting:
         station, lateral = track.project(truth.x, truth.y)
         self._laps += round((self._before - station) / track.length)
         self._before = station
-        motion = _estimated(self._autonomy, track)
+        estimate = self._autonomy.estimate
+        motion = None if estimate is None else own_motion(estimate, track)
         self.ticks.append(DriveTick(now_us, truth, station + self._laps * track.length, lateral, motion))
         return sent
 
@@ -89,16 +90,6 @@ def record_drive(
         noting.bench = bench
         bench.run(until, on_progress)
     return track, noting.ticks
-
-
-def _estimated(autonomy: AutonomyPartition, track: Track) -> OwnMotion | None:
-    estimate = autonomy.estimate
-    if estimate is None:
-        return None
-    station, _ = track.project(estimate.x, estimate.y)
-    bank, grade = track.road_at_station(station)
-    pose = Pose(estimate.x, estimate.y, estimate.yaw, pitch=-grade, roll=-bank)
-    return OwnMotion(pose, estimate.vx, estimate.vy, estimate.yaw_rate)
 
 
 @dataclass(frozen=True)
@@ -153,7 +144,7 @@ class Sensed(NamedTuple):
 
     tick: DriveTick
     car: OtherCar | None
-    scan: LidarScan | None
+    scan: AgedCloud | None
     tracks: Tracks | None
 
 
@@ -168,16 +159,11 @@ def sense(
     generators = [np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(2)]
     lidars = SpatialLidar(track_mesh(track), generators[0], origin=(to_axle, 0.0, -AXLE_HEIGHT))
     radar = Radar(track.walls(), to_axle, generators[1])
-    pattern = lidars.pattern
-    beams = pattern.columns * pattern.lines
-    left = (pattern.columns - np.arange(pattern.columns) - 0.5) / pattern.columns  # of the scan, behind each column
-    column_age = (lidar.PERIOD_US * 1e-6 * left).astype(np.float32)
     for tick in ticks:
         other, seen = (None, None) if ahead is None else ahead.at(tick)
         scan = tracks = None
-        if tick.time_us % lidar.PERIOD_US == lidar.PHASE_US:
-            found = lidars.scan(_own(track, tick), [] if seen is None else [seen])
-            scan = LidarScan(found.cloud, column_age[found.beam % beams // pattern.lines])
+        if lidar.due(tick.time_us):
+            scan = lidars.scan(_own(track, tick), [] if seen is None else [seen]).aged
         if radar.due(tick.time_us):
             tracks = radar.scan(tick.truth, [] if other is None else [other])
         yield Sensed(tick, other, scan, tracks)

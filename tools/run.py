@@ -23,7 +23,7 @@ from bridge.delays import MessageDelay
 from bridge.faults.reading import check_faults
 from bridge.interfaces import Road
 from bridge.recorder import Recording
-from bridge.scenario import Scenario, load_scenario
+from bridge.scenario import PerceptionMode, Scenario, load_scenario
 from dbc.buses import Bus
 from dbc.codec import Codec, profile
 from dbc.errors import ConfigurationError, RaceloopError
@@ -76,7 +76,11 @@ def make_autonomy(scenario: Scenario, road: Road) -> AutonomyPartition:
     from autonomy.partition import AutonomyPartition  # noqa: PLC0415
 
     assert isinstance(road, Track)
-    return AutonomyPartition(road, VehicleLimits.from_parameters(scenario.vehicle, load_vehicle(scenario.vehicle)))
+    perception_map = None
+    if scenario.perception is PerceptionMode.FULL:
+        perception_map = road if scenario.perception_map is None else load_track(scenario.perception_map)
+    limits = VehicleLimits.from_parameters(scenario.vehicle, load_vehicle(scenario.vehicle))
+    return AutonomyPartition(road, limits, perception_map)
 
 
 def chosen_scenario(name: str | None, profile_name: str | None) -> Scenario:

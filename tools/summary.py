@@ -15,9 +15,10 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from bridge.bus import CHANNELS
 from bridge.faults import Injection
 from bridge.monitor import FaultEvent, RunMonitor
-from dbc.buses import DEFAULT_PROFILE
+from dbc.buses import DEFAULT_PROFILE, Bus
 from dbc.errors import RaceloopError
 from firmware.tables import own_faults
 from tools.realtime_summary import show_real_time
@@ -39,6 +40,9 @@ _NOT_DRIVEN: Mapping[str, Any] = {
     "tracking": None,
     "yaw_error_share_in_band": None,
     "cross_track_share_left": None,
+    "plans": None,
+    "plans_behind_a_car": None,
+    "times_behind_a_car": None,
 }
 """Of a run without a plant."""
 
@@ -58,6 +62,17 @@ def driving_summary(recorded: Recorded) -> dict[str, Any]:
         "distance_m": float(truth["distance"][-1]),
         "tracking": tracking_table(errors),
         **_tracking_shares(errors),
+        **_following(recorded),
+    }
+
+
+def _following(recorded: Recorded) -> dict[str, int]:
+    """How often another car made a plan slower, and how many times in a row that was."""
+    follows = recorded.message("trajectory_header")["plan_follows"] > 0
+    return {
+        "plans": int(follows.size),
+        "plans_behind_a_car": int(follows.sum()),
+        "times_behind_a_car": int(np.count_nonzero(follows & ~np.concatenate(([False], follows[:-1])))),
     }
 
 
@@ -204,6 +219,11 @@ def _show_driving(summary: Mapping[str, Any], console: Console) -> None:
     if inside is not None:
         console.print(
             f"Yaw error within {YAW_BAND_RAD} rad: {inside:.1%} (paper 97 %); left of the path: {left:.1%} (87 %)"
+        )
+    if CHANNELS[Bus.CAN_R] in summary["buses"]:
+        console.print(
+            f"Slower for another car: {summary['times_behind_a_car']} times,"
+            f" in {summary['plans_behind_a_car']} of {summary['plans']} plans"
         )
     console.print()
 

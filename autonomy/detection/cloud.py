@@ -28,7 +28,7 @@ class DetectionStatus(IntEnum):
     NOT_FLOAT32 = 2
     """Not an array of float32."""
     BAD_SHAPE = 3
-    """Not of shape (n, 3)."""
+    """Not of shape (n, 3); (n, 4) of a scan with ages."""
     TOO_MANY_POINTS = 4
     """More than POINTS_MAX."""
     NOTHING_FINITE = 5
@@ -41,6 +41,8 @@ class DetectionStatus(IntEnum):
     """Only the nearest objects are there."""
     FROZEN = 9
     """The points are those of the scan before; `Perception` says so, as a scan alone does not tell."""
+    BAD_AGE = 10
+    """A point has no finite age: it can be anywhere."""
 
 
 @dataclass(frozen=True)

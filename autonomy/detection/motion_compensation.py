@@ -5,27 +5,32 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from autonomy.detection.cloud import Cloud
+from autonomy._native import ffi, lib
+from autonomy.detection.cloud import POINTS_MAX, Cloud, DetectionStatus
 from autonomy.detection.road_objects import RoadObjects
 from autonomy.vehicle import CG_TO_REAR_AXLE
 
+#: A merged scan as the LiDARs give it: float32, shape (n, 4); x, y and z, m, of each point in the axes that the vehicle
+#: had when it was taken, and the time from then to the end of the scan, s.
+AgedCloud: TypeAlias = NDArray[np.float32]
 
-class LidarScan(NamedTuple):
-    """A merged scan as the LiDARs give it.
 
-    Attributes
-    ----------
-    cloud : float32, shape (n, 3), m, each point in the axes that the vehicle had when it was taken.
-    age : float32, shape (n,), s, from then to the end of the scan.
-    """
-
-    cloud: Cloud
-    age: NDArray[np.float32]
+def check_scan(value: object) -> DetectionStatus:
+    """Whether something is a scan of points with ages: OK, EMPTY, or what is wrong with it."""
+    if not isinstance(value, np.ndarray) or value.dtype != np.float32:
+        return DetectionStatus.NOT_FLOAT32
+    if value.ndim != 2 or value.shape[1] != 4:
+        return DetectionStatus.BAD_SHAPE
+    if len(value) > POINTS_MAX:
+        return DetectionStatus.TOO_MANY_POINTS
+    if not len(value):
+        return DetectionStatus.EMPTY
+    return DetectionStatus.OK if np.isfinite(value[:, 3]).all() else DetectionStatus.BAD_AGE
 
 
 @dataclass(frozen=True)
@@ -67,31 +72,24 @@ class MotionCompensation:
     sweeps: Sequence[Sweep] = SWEEPS
     speed_std: float = 10.0
 
-    def cloud(self, scan: LidarScan, vx: float, vy: float, yaw_rate: float) -> Cloud:
+    def cloud(self, scan: AgedCloud, vx: float, vy: float, yaw_rate: float) -> Cloud:
         """Points in the axes at the end of the scan, where what stands still keeps its shape and place.
 
         Parameters
         ----------
-        scan : shapes as stated.
+        scan : as `check_scan` lets pass.
         vx, vy, yaw_rate : motion of the vehicle frame in its own axes during the scan, m/s and rad/s.
 
-        Notes
-        -----
-        The car moves by a constant twist, whose exponential is a turn by the angle theta and a chord in the direction
-        of theta / 2, as long as the way times sin(theta / 2) / (theta / 2) (Murray, Li, Sastry, A Mathematical
-        Introduction to Robotic Manipulation, 1994, 2.3).
+        Raises
+        ------
+        ValueError
+            When an age is not finite.
         """
-        cloud, age = scan
-        turn = np.float32(-yaw_rate) * age
-        half = np.float32(0.5) * turn
-        chord = -age * np.sinc(half / np.float32(math.pi))
-        cos, sin = np.cos(turn), np.sin(turn)
-        cos_half, sin_half = np.cos(half), np.sin(half)
-        x, y = cloud[:, 0], cloud[:, 1]
-        moved = np.empty_like(cloud)
-        moved[:, 0] = cos * x - sin * y + chord * (np.float32(vx) * cos_half - np.float32(vy) * sin_half)
-        moved[:, 1] = sin * x + cos * y + chord * (np.float32(vx) * sin_half + np.float32(vy) * cos_half)
-        moved[:, 2] = cloud[:, 2]
+        moved = np.empty((len(scan), 3), dtype=np.float32)
+        twist = ffi.new("planar_twist *", {"vx": vx, "vy": vy, "yaw_rate": yaw_rate})
+        points = ffi.from_buffer("aged_point[]", np.ascontiguousarray(scan))
+        if not lib.motion_compensate(points, len(scan), twist, ffi.from_buffer("cloud_point[]", moved)):
+            raise ValueError("an age is not finite")
         return moved
 
     def objects(self, objects: RoadObjects, vx: float, vy: float) -> RoadObjects:

@@ -20,7 +20,14 @@ PERIOD_US = 50_000
 #: The tick of a scan lies between those of the receivers' epochs.
 PHASE_US = 40_000
 
+#: Points as rows of x, y, z, m, in vehicle axes from the ground below the centre of gravity, and of their age at the
+#: end of the scan, s: float32, shape (n, 4). A point is in the axes that the vehicle had when it was taken.
 Cloud = NDArray[np.float32]
+
+
+def due(now_us: int) -> bool:
+    """Whether a scan belongs to this tick."""
+    return now_us % PERIOD_US == PHASE_US
 
 
 @dataclass(frozen=True)
@@ -39,8 +46,9 @@ MOUNTS = (
     Mount(1.549, 0.267, 0.543, math.radians(120.0)),
     Mount(1.549, -0.267, 0.543, math.radians(-120.0)),
 )
-#: Height of the centre of gravity over the middle of the rear axle, m (same source).
+#: Height of the centre of gravity over the middle of the rear axle, m (same source), and of that over the ground.
 CG_OVER_AXLE = 0.236
+AXLE_HEIGHT = 0.31
 
 
 @dataclass(frozen=True)
@@ -97,21 +105,17 @@ class Lidar:
         self._results = [(c_ranges + i * count, c_incidence + i * count) for i in range(len(MOUNTS))]
         bearings = np.concatenate([angles + mount.yaw for mount in MOUNTS])
         self._cos, self._sin = np.cos(bearings).astype(np.float32), np.sin(bearings).astype(np.float32)
-        heights = [mount.z - CG_OVER_AXLE for mount in MOUNTS]
-        origins = np.array([(x, y, z) for (x, y, _), z in zip(self._places, heights, strict=True)], np.float32)
+        heights = [mount.z + AXLE_HEIGHT for mount in MOUNTS]
+        origins = np.array([(x, y, z, 0.0) for (x, y, _), z in zip(self._places, heights, strict=True)], np.float32)
         self._origins = np.repeat(origins, count, axis=0)
-
-    def due(self, now_us: int) -> bool:
-        """Whether a scan belongs to this tick."""
-        return now_us % PERIOD_US == PHASE_US
 
     def scan(self, truth: Truth) -> Cloud:
         """Points of this tick.
 
         Returns
         -------
-        ndarray of float32, shape (n, 3)
-            Echoes in vehicle axes from the centre of gravity, m; in no order that means anything.
+        ndarray of float32, shape (n, 4)
+            Echoes, in no order that means anything; all of age 0.
         """
         cos, sin = math.cos(truth.yaw), math.sin(truth.yaw)
         pose, count = self._pose, len(self._segments)

@@ -25,7 +25,7 @@ from dbc.radar_tracks import TRACK_DTYPE, TRACKS, RangeMode, Tracks, TrackStatus
 
 PERIOD_US = 50_000
 #: The tick of a scan lies between those of GNSS and LiDAR.
-PHASE_US = 30_000
+PHASE_US = 20_000
 #: Ahead of the middle of the rear axle, m (AWSIM's model of the AV-21, urdf).
 MOUNT_X = 1.784
 

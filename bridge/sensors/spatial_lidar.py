@@ -1,7 +1,4 @@
-"""Three LiDARs around the car, 20 Hz: point clouds of road, walls and other cars, with the motion within a scan.
-
-Not in the loop yet, whose LiDARs are the planar ones of `bridge.sensors.lidar`.
-"""
+"""Three LiDARs around the car, 20 Hz: point clouds of road, walls and other cars, with the motion within a scan."""
 
 from __future__ import annotations
 
@@ -107,10 +104,17 @@ class Scan:
     ----------
     cloud : float32, shape (n, 3), m, in the axes that the vehicle had when each point was taken.
     beam : shape (n,), number of each point's beam: LiDAR after LiDAR, column after column, line after line.
+    age : float32, shape (n,), s, from when each point was taken to the end of the scan.
     """
 
-    cloud: Cloud
+    cloud: NDArray[np.float32]
     beam: NDArray[np.uint32]
+    age: NDArray[np.float32]
+
+    @property
+    def aged(self) -> Cloud:
+        """Points with their ages, shape (n, 4)."""
+        return np.column_stack((self.cloud, self.age))
 
 
 class SpatialLidar:
@@ -153,6 +157,9 @@ class SpatialLidar:
         self._beams = pattern.columns * pattern.lines
         self._points = np.empty((len(mounts) * self._beams, 3), np.float32)
         self._numbers = np.empty(len(self._points), np.uint32)
+        left = (pattern.columns - np.arange(pattern.columns) - 0.5) / pattern.columns  # of the scan, behind each column
+        age = np.repeat((PERIOD_US * 1e-6 * left).astype(np.float32), pattern.lines)
+        self._ages = np.tile(age, len(mounts))
         self._c_points = ffi.from_buffer("float[]", self._points)
         self._c_numbers = ffi.from_buffer("uint32_t[]", self._numbers)
 
@@ -178,7 +185,8 @@ class SpatialLidar:
                 *(self._pattern, mount, self._detector, self._hits, key, number * self._beams),
                 *(self._c_points + 3 * count, self._c_numbers + count),
             )
-        return Scan(self._points[:count].copy(), self._numbers[:count].copy())
+        beam = self._numbers[:count].copy()
+        return Scan(self._points[:count].copy(), beam, self._ages[beam])
 
     def cast(self, vehicle: Motion, cars: Sequence[Motion] = ()) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Where all beams end, without noise or loss.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
@@ -85,6 +86,34 @@ def boxes(parts: Sequence[Sequence[Sequence[float]]], reflectivity: float = CAR_
     return QuadMesh(sides, np.full(len(sides), reflectivity))
 
 
+class RoadSurface:
+    """Height of a road: along the centre line what its grade gives, 0 in the mean; across a straight line by the bank.
+
+    Parameters
+    ----------
+    road : see `bridge.interfaces`.
+    stations : at which the grade is taken, m, ascending from 0; every 4 m by default.
+
+    Attributes
+    ----------
+    heights : of the centre line at the stations, m.
+    """
+
+    def __init__(self, road: Road, stations: FloatArray | None = None) -> None:
+        self._road = road
+        self._stations = np.arange(0.0, road.length, 4.0) if stations is None else stations
+        grade = np.array([road.road_at_station(station)[1] for station in self._stations.tolist()])
+        climb = np.tan(grade) * np.diff(self._stations, append=road.length)
+        # What a lap does not close by is spread over it.
+        height = np.cumsum(climb) - climb - self._stations / road.length * climb.sum()
+        self.heights: FloatArray = height - height.mean()
+
+    def at(self, station: float, lateral: float) -> float:
+        """Height at a place, m; beyond the boundaries as if the road went on."""
+        height = np.interp(station, self._stations, self.heights, period=self._road.length)
+        return float(height) - lateral * math.tan(self._road.road_at_station(station)[0])
+
+
 def track_mesh(
     road: Road,
     *,
@@ -117,11 +146,8 @@ def track_mesh(
         raise ValueError(f"step is {step}; must be positive and leave three lines across the track or more")
     stations = np.arange(len(left)) * step * road.length / len(road.boundaries()[0])
     centre = np.array([road.pose_at(station, 0.0)[:2] for station in stations.tolist()])
-    bank, grade = np.array([road.road_at_station(station) for station in stations.tolist()]).T
-    climb = np.tan(grade) * np.diff(stations, append=road.length)
-    # What a lap does not close by is spread over it.
-    height = np.cumsum(climb) - climb - stations / road.length * climb.sum()
-    height -= height.mean()
+    bank = np.array([road.road_at_station(station)[0] for station in stations.tolist()])
+    height = RoadSurface(road, stations).heights
     to_left = (left - right) / np.hypot(*(left - right).T)[:, None]
     edges = []
     for edge in (left, right):

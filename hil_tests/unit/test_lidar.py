@@ -60,13 +60,13 @@ def test_each_sensor_looks_its_own_way() -> None:
         seen = np.degrees(np.arctan2(np.sin(seen), np.cos(seen)))
         assert (seen.min(), seen.max()) == pytest.approx((-59.75, 59.75), abs=1e-3)
         assert np.diff(np.sort(seen)) == pytest.approx(0.5, abs=1e-3)
-        assert points[:, 2] == pytest.approx(mount.z - 0.236)
+        assert points[:, 2] == pytest.approx(mount.z + 0.31)
 
 
 def test_nothing_comes_from_beyond_the_reach() -> None:
     wall = np.array([(-500.0, -6.0), (0.0, -6.0), (0.0, -6.0), (500.0, -6.0), (500.0, -6.1), (500.0, -6.1)])
     cloud = lidar([wall], EXACT).scan(truth(0.0, 0.0, 0.0))
-    (front, *_) = np.split(cloud, [int(np.isclose(cloud[:, 2], MOUNTS[0].z - 0.236).sum())])
+    (front, *_) = np.split(cloud, [int(np.isclose(cloud[:, 2], MOUNTS[0].z + 0.31).sum())])
     farthest = np.hypot(front[:, 0] - (MOUNTS[0].x - CG_TO_REAR), front[:, 1]).max()
     assert 70.0 < farthest <= 80.0
 
@@ -90,7 +90,7 @@ def test_echoes_are_lost_at_grazing_incidence_only() -> None:
     for _ in range(50):
         for k, model in enumerate((kept, possible)):
             cloud = model.scan(truth(0.0, 0.0, 0.0))
-            front = cloud[np.isclose(cloud[:, 2], MOUNTS[0].z - 0.236)]
+            front = cloud[np.isclose(cloud[:, 2], MOUNTS[0].z + 0.31)]
             incidence = np.degrees(np.arctan2(-front[:, 1], front[:, 0] - (MOUNTS[0].x - CG_TO_REAR)))
             if k == 0:
                 assert incidence.min() >= 2.0

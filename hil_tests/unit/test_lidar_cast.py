@@ -11,10 +11,10 @@ from beam_reference import PERIOD, beam_frames, column_times, directions, pose_a
 
 from autonomy.track_files import load_track
 from bridge._native import ffi, lib
-from bridge.sensors.lidar import MOUNTS, Mount
+from bridge.sensors.lidar import AXLE_HEIGHT, MOUNTS, Mount
 from bridge.sensors.spatial_lidar import BeamPattern, Motion, SpatialLidar, _native_motion
 from bridge.sensors.surfaces import CAR_PARTS, QuadMesh, boxes, strip, track_mesh
-from tools.lidar_scene import AXLE_HEIGHT, LidarScene
+from tools.lidar_scene import LidarScene
 
 SEED = 20261130
 TRACK = load_track(Path(__file__).parents[2] / "scenarios" / "tracks" / "lvms.yaml")

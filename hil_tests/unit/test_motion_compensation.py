@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 import scenarios
 from autonomy.detection.cloud import Pose
-from autonomy.detection.motion_compensation import SWEEPS, LidarScan, MotionCompensation
+from autonomy.detection.motion_compensation import SWEEPS, MotionCompensation
 from autonomy.detection.road_objects import levelled, no_objects
 from autonomy.vehicle import CG_TO_REAR_AXLE, load_vehicle
 from bridge.sensors.lidar import MOUNTS, PERIOD_US
@@ -38,15 +38,22 @@ def test_a_cloud_by_the_exponential_of_the_twist(vx: float, vy: float, yaw_rate:
     generator = np.random.default_rng(4)
     cloud = generator.uniform(-100.0, 100.0, (300, 3)).astype(np.float32)
     age = generator.uniform(0.0, 0.05, 300).astype(np.float32)
-    moved = MotionCompensation().cloud(LidarScan(cloud, age), vx, vy, yaw_rate)
+    moved = MotionCompensation().cloud(np.column_stack((cloud, age)), vx, vy, yaw_rate)
     assert moved.dtype == np.float32
     assert moved.shape == cloud.shape
     assert np.allclose(moved, by_exponential(cloud, age, vx, vy, yaw_rate), atol=2.0e-5)
     assert np.array_equal(moved[:, 2], cloud[:, 2])
 
 
+def test_an_age_that_is_none_raises() -> None:
+    scan = np.ones((3, 4), np.float32)
+    scan[1, 3] = np.nan
+    with pytest.raises(ValueError, match="an age is not finite"):
+        MotionCompensation().cloud(scan, 60.0, 0.0, 0.1)
+
+
 def test_nothing_in_nothing_out() -> None:
-    none = LidarScan(np.empty((0, 3), np.float32), np.empty(0, np.float32))
+    none = np.empty((0, 4), np.float32)
     assert MotionCompensation().cloud(none, 60.0, 0.0, 0.1).shape == (0, 3)
     assert len(MotionCompensation().objects(no_objects(), 60.0, 0.0)) == 0
 
@@ -100,8 +107,8 @@ def test_what_stands_still_keeps_its_place(yaw_rate: float) -> None:
     scan = lidars.scan(Motion(0.0, 0.0, velocity=(60.0, -1.0, 0.0), rate=(0.0, 0.0, yaw_rate)))
     pattern = lidars.pattern
     column = scan.beam % (pattern.columns * pattern.lines) // pattern.lines
-    age = (0.05 * (pattern.columns - column - 0.5) / pattern.columns).astype(np.float32)
-    moved = MotionCompensation().cloud(LidarScan(scan.cloud, age), 60.0, -1.0, yaw_rate)
+    assert np.allclose(scan.age, 0.05 * (pattern.columns - column - 0.5) / pattern.columns)
+    moved = MotionCompensation().cloud(scan.aged, 60.0, -1.0, yaw_rate)
     assert len(moved)
     off = np.abs(moved[:, :2] - [30.0, 5.0])
     assert off.max() < 0.05 + 5 * 0.01 + 1e-3

@@ -10,7 +10,7 @@ import pytest
 
 import scenarios
 from autonomy.detection.cloud import DetectionStatus, Pose
-from autonomy.detection.motion_compensation import LidarScan
+from autonomy.detection.motion_compensation import AgedCloud
 from autonomy.detection.radar import OwnMotion, RadarStatus
 from autonomy.opponents.tracker import ScanStatus
 from autonomy.perception import SILENCE_US, Perceived, Perception, Source
@@ -119,34 +119,30 @@ def test_silence_is_an_error(track: Track) -> None:
     ticks = drive(track, 20.0)[:30]
     look(perception, sense(track, SCENARIO, ticks, 3, None))
     scans_us = [tick.time_us for tick in ticks if tick.time_us % 50_000 == 40_000]
-    for source, last_us in ((Source.LIDAR, scans_us[-1]), (Source.RADAR, scans_us[-1] - 10_000)):
+    for source, last_us in ((Source.LIDAR, scans_us[-1]), (Source.RADAR, scans_us[-1] - 20_000)):
         assert perception.status(last_us + SILENCE_US, source) is NodeStatus.OK
         assert perception.status(last_us + SILENCE_US + 1, source) is NodeStatus.ERROR
 
 
-def cloud(count: int = 5) -> np.ndarray:
-    return np.ones((count, 3), np.float32)
-
-
-def ages(count: int = 5) -> np.ndarray:
-    return np.zeros(count, np.float32)
+def scan_of_ones(count: int = 5, age: float = 0.0) -> AgedCloud:
+    return np.hstack((np.ones((count, 3)), np.full((count, 1), age))).astype(np.float32)
 
 
 BAD_SCANS = {
-    "empty": (LidarScan(cloud(0), ages(0)), DetectionStatus.EMPTY),
-    "NaN": (LidarScan(np.full((4, 3), np.nan, np.float32), ages(4)), DetectionStatus.NOTHING_FINITE),
-    "float64": (LidarScan(np.ones((4, 3)), ages(4)), DetectionStatus.NOT_FLOAT32),
-    "wrong shape": (LidarScan(np.ones((4, 2), np.float32), ages(4)), DetectionStatus.BAD_SHAPE),
-    "not an array": (LidarScan("cloud", ages(4)), DetectionStatus.NOT_FLOAT32),
-    "too many": (LidarScan(cloud(70_000), ages(70_000)), DetectionStatus.TOO_MANY_POINTS),
-    "an age less": (LidarScan(cloud(5), ages(4)), DetectionStatus.NOT_FLOAT32),
-    "an age of NaN": (LidarScan(cloud(5), np.full(5, np.nan, np.float32)), DetectionStatus.NOT_FLOAT32),
-    "no ages": (LidarScan(cloud(5), None), DetectionStatus.NOT_FLOAT32),
+    "empty": (scan_of_ones(0), DetectionStatus.EMPTY),
+    "NaN": (np.hstack((np.full((4, 3), np.nan), np.zeros((4, 1)))).astype(np.float32), DetectionStatus.NOTHING_FINITE),
+    "float64": (np.ones((4, 4)), DetectionStatus.NOT_FLOAT32),
+    "wrong shape": (np.ones((4, 2), np.float32), DetectionStatus.BAD_SHAPE),
+    "no ages": (np.ones((4, 3), np.float32), DetectionStatus.BAD_SHAPE),
+    "not an array": ("cloud", DetectionStatus.NOT_FLOAT32),
+    "too many": (scan_of_ones(70_000), DetectionStatus.TOO_MANY_POINTS),
+    "an age of NaN": (scan_of_ones(5, math.nan), DetectionStatus.BAD_AGE),
+    "an age without end": (scan_of_ones(5, math.inf), DetectionStatus.BAD_AGE),
 }
 
 
 @pytest.mark.parametrize(("scan", "status"), BAD_SCANS.values(), ids=BAD_SCANS)
-def test_a_bad_scan_is_a_status(track: Track, scan: LidarScan, status: DetectionStatus) -> None:
+def test_a_bad_scan_is_a_status(track: Track, scan: AgedCloud, status: DetectionStatus) -> None:
     perception = Perception(track)
     (tick,) = drive(track, 20.0)[:1]
     perceived = perception.step(40_000, tick.motion, scan, None)
@@ -199,7 +195,7 @@ def test_frozen_sensors_are_noticed(track: Track) -> None:
     perception = Perception(track)
     first, second = tracks_of(3), tracks_of(3)
     second["rolling_count"] = 1
-    scans = [LidarScan(cloud(), ages()), LidarScan(cloud(), ages()), LidarScan(cloud(6), ages(6))]
+    scans = [scan_of_ones(), scan_of_ones(), scan_of_ones(6)]
     statuses = []
     for number, (scan, tracks) in enumerate(zip(scans, (first, first.copy(), second), strict=True)):
         tick = drive(track, 20.0)[5 * number]
@@ -214,11 +210,11 @@ def test_frozen_sensors_are_noticed(track: Track) -> None:
 
 def test_a_buffer_that_is_used_again_is_no_frozen_scan(track: Track) -> None:
     perception, tick = Perception(track), drive(track, 20.0)[0]
-    points, tracks = cloud(), tracks_of(3)
+    points, tracks = scan_of_ones(), tracks_of(3)
     for number in range(3):
         points[0, 0] = number
         tracks["rolling_count"] = number % 2
-        perceived = perception.step(50_000 * number, tick.motion, LidarScan(points, ages()), tracks)
+        perceived = perception.step(50_000 * number, tick.motion, points, tracks)
         assert perceived.lidar is not None
         assert perceived.radar is not None
         assert perceived.lidar.status is DetectionStatus.OK
@@ -227,7 +223,7 @@ def test_a_buffer_that_is_used_again_is_no_frozen_scan(track: Track) -> None:
 
 def test_frozen_for_long_is_an_error(track: Track) -> None:
     perception = Perception(track)
-    scan, tracks = LidarScan(cloud(), ages()), tracks_of(3)
+    scan, tracks = scan_of_ones(), tracks_of(3)
     for tick in drive(track, 20.0)[:30:5]:
         perception.step(tick.time_us, tick.motion, scan, tracks)
     assert perception.status(SILENCE_US, Source.LIDAR) is NodeStatus.OK
@@ -239,7 +235,7 @@ def test_frozen_for_long_is_an_error(track: Track) -> None:
 def test_a_bad_pose_is_a_status(track: Track, bad: float) -> None:
     perception = Perception(track)
     motion = OwnMotion(Pose(bad, 0.0, 0.0), 60.0, 0.0, 0.0)
-    perceived = perception.step(40_000, motion, LidarScan(cloud(), ages()), tracks_of(3))
+    perceived = perception.step(40_000, motion, scan_of_ones(), tracks_of(3))
     assert perceived.lidar is not None
     assert perceived.radar is not None
     assert perceived.lidar.status is DetectionStatus.BAD_POSE
@@ -248,7 +244,7 @@ def test_a_bad_pose_is_a_status(track: Track, bad: float) -> None:
 
 
 def test_without_an_estimate_nothing_is_looked_at(track: Track) -> None:
-    perceived = Perception(track).step(40_000, None, LidarScan(cloud(), ages()), tracks_of(3))
+    perceived = Perception(track).step(40_000, None, scan_of_ones(), tracks_of(3))
     assert (perceived.lidar, perceived.radar, perceived.fused) == (None, None, None)
     assert perceived.tracks == []
 
