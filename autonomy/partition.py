@@ -7,6 +7,7 @@ from pathlib import Path
 from autonomy.detection.motion_compensation import AgedCloud
 from autonomy.localisation import Estimate, Localiser, Quality
 from autonomy.messages import EstimateWriter, Inbox, NodeWriter, PlanWriter
+from autonomy.perception import Perception
 from autonomy.perception_nodes import PerceptionNodes, own_motion
 from autonomy.planning import Planner
 from autonomy.race_path import RacePath
@@ -56,7 +57,7 @@ class AutonomyPartition:
         #: None in a car without.
         self.perception: PerceptionNodes | None
         try:
-            self.perception = None if perception_map is None else PerceptionNodes(perception_map)
+            self.perception = None if perception_map is None else PerceptionNodes(Perception(perception_map))
         except ValueError as error:
             raise ConfigurationError(track.name, "width", str(error)) from None
         #: The newest; None before the first.

@@ -38,20 +38,15 @@ class PerceptionNodes:
 
     Parameters
     ----------
-    track : by which they tell what is on the track.
+    perception : what they do.
 
     Attributes
     ----------
     predictions : the newest.
-
-    Raises
-    ------
-    ValueError
-        When the track cannot be fenced in (`Geofence`).
     """
 
-    def __init__(self, track: Track) -> None:
-        self._perception = Perception(track)
+    def __init__(self, perception: Perception) -> None:
+        self._perception = perception
         self._notices = {source: SensorNoticeWriter(_SENSORS[source]) for source in Source}
         self._nodes = {node: PerceptionStatusWriter(node) for node in (*_DETECTIONS.values(), *_FOLLOWING)}
         self._objects = ObjectWriter()

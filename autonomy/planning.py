@@ -296,7 +296,9 @@ class Planner:
                 held = self._wish_behind(speed, speed_behind(cars, time_s, way, self._follow), hardest)
                 if held < wish:
                     wish, self._follows = held, True
-                    onset = self._follow.jerk if held < 0.0 else jerk
+                # Brakes for another car are applied and released faster than in free driving.
+                if min(wish, acceleration) < 0.0 and self._follows:
+                    onset = self._follow.jerk
             # Jerk times the time to the next point; a car that starts takes its first acceleration at once.
             change = onset * distance / max(speed, 1.0)
             squared = speed * speed + 2.0 * distance * max(acceleration - change, min(acceleration + change, wish))

@@ -264,6 +264,8 @@ class Bench:
             network.submit(Station.OPERATOR, self.operator.tick(now_us, network.take(Station.OPERATOR)))
         if self._speaks(Station.AUTONOMY):
             heard, cloud = network.take(Station.AUTONOMY), surroundings.scan(now_us)
+            if self._injector is not None:
+                cloud = self._injector.scan(cloud)
             network.submit(Station.AUTONOMY, self._autonomy.tick(now_us, heard, cloud))
         network.transmit(Bus.CAN_A)
 

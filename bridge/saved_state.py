@@ -8,7 +8,7 @@ forgotten silently. Values are shared: numbers, texts, tuples, frozen dataclasse
 from __future__ import annotations
 
 import random
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Iterable, Mapping
 from enum import Enum
 from functools import partial
@@ -178,6 +178,7 @@ def _save_generator(value: np.random.Generator) -> tuple[_Restorer, _Parts]:
 
 _SAVERS: Mapping[type, Callable[[Any], tuple[_Restorer, _Parts]]] = {
     dict: _save_dict,
+    Counter: _save_dict,  # from empty, an update is what was counted
     list: _save_list,
     set: _save_set,
     deque: _save_deque,

@@ -2,7 +2,7 @@
 
 from bridge.faults.car import ActuatorStuck, BrakeFade, EngineStall, GripLoss
 from bridge.faults.ecus import ClockDrift, Hang, PowerLoss, Reset, Slow
-from bridge.faults.fault import BenchFault, Fault, FrameFault, InputFault
+from bridge.faults.fault import BenchFault, CloudFault, Fault, FrameFault, InputFault
 from bridge.faults.frames import (
     Babble,
     BusError,
@@ -21,6 +21,7 @@ from bridge.faults.frames import (
     WrongLength,
 )
 from bridge.faults.injector import Injection
+from bridge.faults.lidar import LidarFrozen, LidarNotFinite, LidarSilent, LidarSlow, LidarSparse
 from bridge.faults.memory import ExecutionTime, MemoryAltered, WireAltered
 from bridge.faults.plan import FaultPlan, Onset
 from bridge.faults.signals import (
@@ -45,6 +46,7 @@ __all__ = [
     "BrakeFade",
     "BusError",
     "ClockDrift",
+    "CloudFault",
     "Corrupt",
     "Deaf",
     "Delay",
@@ -63,6 +65,11 @@ __all__ = [
     "Injection",
     "InputFault",
     "Late",
+    "LidarFrozen",
+    "LidarNotFinite",
+    "LidarSilent",
+    "LidarSlow",
+    "LidarSparse",
     "Masquerade",
     "MemoryAltered",
     "Noise",

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from bridge.sensors.lidar import Cloud
 from dbc.codec import Codec, MessageCodec
 from dbc.errors import CodecError
 from dbc.frames import FRAME_STRUCT, Frame
@@ -100,6 +101,15 @@ class InputFault(Fault):
 
     def drive(self, inputs: NDArray[np.float64], memory: Memory) -> None:
         """Change the plant's inputs, in the order of ``enum plant_input``, as the wires have set them."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class CloudFault(Fault):
+    """Changes the scans of the LiDARs; each that is due counts as befallen."""
+
+    def scan(self, cloud: Cloud, memory: Memory) -> Cloud | None:
+        """What comes instead of a scan; None for nothing."""
         raise NotImplementedError
 
 

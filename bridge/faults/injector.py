@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from bridge._native import ffi, lib
 from bridge.condition import Trigger
-from bridge.faults.fault import BenchFault, Fault, FrameFault, InputFault, Memory, Selection
+from bridge.faults.fault import BenchFault, CloudFault, Fault, FrameFault, InputFault, Memory, Selection
 from bridge.faults.plan import FaultPlan
 from bridge.plant import REQUIRED_INPUTS
+from bridge.sensors.lidar import Cloud
 from bridge.wiring import NOMINAL_FRICTION, PLACE_OF_FRICTION
 from dbc.codec import MessageCodec, profile
 from dbc.errors import CodecError
@@ -112,6 +113,16 @@ class Injection:
             self._end(now_us, for_good=self._begun >= self.plan.times)
         return altered
 
+    def scan(self, cloud: Cloud, now_us: int) -> Cloud | None:
+        """What comes instead of a scan of the LiDARs."""
+        fault = self.plan.fault
+        if not self.active or not isinstance(fault, CloudFault):
+            return cloud
+        self._note(now_us, 1)
+        changed = fault.scan(cloud, self._memory)
+        self._memory.number += 1
+        return changed
+
     def drive(self, inputs: NDArray[np.float64], now_us: int) -> None:
         """Change the inputs of the plant."""
         if self.active and isinstance(self.plan.fault, InputFault):
@@ -195,6 +206,12 @@ class Injector:
         """Change what the ECUs read from their wires in this tick."""
         for injection in self.injections:
             injection.sense()
+
+    def scan(self, cloud: Cloud | None) -> Cloud | None:
+        """Change what gets from the LiDARs to autonomy in this tick."""
+        for injection in self.injections:
+            cloud = None if cloud is None else injection.scan(cloud, self._now_us)
+        return cloud
 
     def drive(self, inputs: NDArray[np.float64]) -> None:
         """Change what gets to the plant at the end of the tick."""

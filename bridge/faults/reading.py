@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, get_type_hints
 
 from bridge.condition import condition_of, microseconds
-from bridge.faults import car, ecus, frames, memory, signals
+from bridge.faults import car, ecus, frames, lidar, memory, signals
 from bridge.faults.fault import Fault
 from bridge.faults.plan import FaultPlan, Onset
 from dbc.buses import Bus, Station
@@ -19,7 +19,7 @@ from dbc.states import SsmState
 #: All kinds of faults by the name that a scenario file gives them.
 KINDS: Mapping[str, type[Fault]] = {
     kind.kind: kind
-    for module in (frames, signals, ecus, car, memory)
+    for module in (frames, signals, lidar, ecus, car, memory)
     for kind in vars(module).values()
     if isinstance(kind, type) and issubclass(kind, Fault) and kind.kind
 }

@@ -80,6 +80,11 @@ EXAMPLES: dict[str, dict[str, Any]] = {
     "execution_time": {"task": "control", "extra_us": 5000},
     "wire_altered": {"station": "RAPTOR", "input": "brake_pressure_front", "offset": 1e5},
     "grip_loss": {"factor": 0.3, "wheel": "rl"},
+    "lidar_silent": {},
+    "lidar_frozen": {},
+    "lidar_not_finite": {},
+    "lidar_sparse": {"share": 0.1},
+    "lidar_slow": {"every": 3},
 }
 
 
