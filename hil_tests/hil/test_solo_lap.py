@@ -1,23 +1,29 @@
-"""The whole solo lap, once, recorded: it completes soundly, twice the same, and replays bit for bit."""
+"""The whole solo lap, recorded: it completes soundly, twice the same, replays bit for bit, and tracks its path."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from numpy.typing import NDArray
 
 from bridge.bus import BusStatistics
 from bridge.monitor import FaultEvent, Transition
 from bridge.recorder import Recording
 from bridge.replay import read_log, replay_obc
-from bridge.scenario import load_scenario
+from bridge.scenario import load_scenario, load_vehicle
 from bridge.surroundings import TICK_US
 from dbc.buses import car_buses
 from dbc.frames import Bus
+from tools.recorded import Recorded
 from tools.run import DEFAULT_SCENARIO, build_bench
+from tools.summary import driving_summary
+from tools.tracking import PAPER
+
+SCENARIO = load_scenario(DEFAULT_SCENARIO)
 
 
 @dataclass
@@ -35,7 +41,7 @@ class Run:
 
 
 def drive(folder: Path) -> Run:
-    with build_bench(load_scenario(DEFAULT_SCENARIO), folder) as bench:
+    with build_bench(SCENARIO, folder) as bench:
         finished = bench.run()
         recording = bench.finish()
         assert recording is not None
@@ -58,6 +64,11 @@ def drive(folder: Path) -> Run:
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
     return drive(tmp_path_factory.mktemp("solo") / "first")
+
+
+@pytest.fixture(scope="module")
+def log(run: Run) -> NDArray[np.void]:
+    return read_log(run.recording.candump)
 
 
 def states(run: Run, machine: str) -> list[str]:
@@ -127,17 +138,19 @@ def test_a_second_run_gives_the_same_bytes(run: Run, tmp_path: Path):
         assert ours.read_bytes() == theirs.read_bytes(), ours.name
 
 
-@pytest.mark.parametrize("kind", ["candump", "blf"])
-def test_the_log_replayed_into_a_fresh_obc_gives_the_same_commands(run: Run, kind: str):
-    log = read_log(getattr(run.recording, kind))
+def test_both_logs_hold_the_same_frames(run: Run, log: NDArray[np.void]):
+    assert np.array_equal(read_log(run.recording.blf), log)
+
+
+def test_the_log_replayed_into_a_fresh_obc_gives_the_same_commands(log: NDArray[np.void]):
     replay = replay_obc(log)
     assert replay.first_difference() is None
     assert replay.identical
     assert len(replay.recorded) > 100_000
 
 
-def test_replay_notices_a_changed_input(run: Run):
-    log = read_log(run.recording.blf).copy()
+def test_replay_notices_a_changed_input(log: NDArray[np.void]):
+    log = log.copy()
     yaw_rates = np.flatnonzero((log["bus"] == Bus.CAN_A) & (log["id"] == 73) & (log["time_us"] > 60_000_000))
     log["data"][yaw_rates[0]][2] ^= 0xFF
     replay = replay_obc(log)
@@ -145,3 +158,32 @@ def test_replay_notices_a_changed_input(run: Run):
     difference = replay.first_difference()
     assert difference is not None
     assert 60_000_000 <= difference < 60_100_000
+
+
+# --- RES-1: the tracking table of the paper's solo lap, met or beaten, whatever the noise.
+
+
+def test_every_figure_is_at_or_below_the_papers(run: Run):
+    """Asymmetry of the plant and noise of GNSS and IMU are on, as in every run."""
+    assert load_vehicle(SCENARIO.vehicle)["oval_asymmetry"] == 1.0
+    assert_at_or_below_the_papers(run.recording)
+
+
+@pytest.mark.parametrize("seed", [1, 7])
+def test_every_figure_is_at_or_below_the_papers_with_other_noise(seed: int, tmp_path: Path):
+    with build_bench(replace(SCENARIO, seed=seed), tmp_path) as bench:
+        assert bench.run()
+        recording = bench.finish()
+        assert recording is not None
+        assert bench.monitor.faults == []
+    assert_at_or_below_the_papers(recording)
+
+
+def assert_at_or_below_the_papers(recording: Recording) -> None:
+    summary = driving_summary(Recorded(recording.signals, recording.truth))
+    for row, paper in zip(summary["tracking"], PAPER, strict=True):
+        assert row["samples"] > 500
+        for figure in ("cte_max_m", "cte_abs_mean_m", "cte_std_m", "yaw_error_max_rad"):
+            assert row[figure] <= getattr(paper, figure), (row["speed_range_kmh"], figure)
+            assert row[figure] > 0.001, "too good to be true: the noise is off"
+    assert summary["yaw_error_share_in_band"] >= 0.97
