@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -126,6 +127,12 @@ def load_network(directory: Path = DIRECTORY, profile: str = DEFAULT_PROFILE) ->
         bit_rate(path, database)  # attributes stand last: a file that was cut off lacks it
         facts += [_message_facts(path, stem, bus, message) for message in database.messages]
     return sorted(facts, key=lambda row: row.key)
+
+
+@cache
+def own_network(profile: str = DEFAULT_PROFILE) -> tuple[MessageFacts, ...]:
+    """The messages of the files that come with raceloop, read once; see `load_network`."""
+    return tuple(load_network(profile=profile))
 
 
 def bit_rate(path: Path, database: Database) -> int:

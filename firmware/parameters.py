@@ -17,7 +17,7 @@ import yaml
 
 from dbc.codec import database
 from dbc.errors import ConfigurationError
-from firmware.tables import ParameterSchema, load_parameters, parameter_key
+from firmware.tables import ParameterSchema, own_parameters, parameter_key
 
 Tick: TypeAlias = Callable[[bytes], Iterable[tuple[int, bytes]]]
 
@@ -123,7 +123,7 @@ def parameter_frames(path: str | Path) -> bytes:
     ConfigurationError
         See `load_operation`; a value that the firmware will refuse is no error here.
     """
-    return b"".join(encode_operation(load_operation(path), load_parameters()))
+    return b"".join(encode_operation(load_operation(path), own_parameters()))
 
 
 def encode_operation(operation: Iterable[tuple[str, object]], schema: ParameterSchema) -> list[bytes]:
@@ -169,7 +169,7 @@ def check_operation(
     -------
     Verdict with every offence, in the firmware's order.
     """
-    schema = schema or load_parameters()
+    schema = schema or own_parameters()
     result, summary = database.message("parameter_result"), database.message("parameter_summary")
     results: list[tuple[int, int, int]] = []
     for batch in _batches(encode_operation(operation, schema)):

@@ -10,7 +10,7 @@ from bridge._native import ffi, lib
 from dbc.codec import database
 from dbc.frames import FRAME_SIZE, FRAME_STRUCT, Frame, iterate
 from firmware.parameters import encode_operation, load_operation
-from firmware.tables import load_parameters
+from firmware.tables import own_parameters
 
 TICK_US = 10_000
 OPERATION = Path(__file__).resolve().parents[1] / "scenarios" / "operations" / "solo.yaml"
@@ -115,7 +115,7 @@ class ObcHarness:
     def configure(self, operation: dict[str, object] | None = None) -> None:
         """Queue an operation file's frames for the next tick."""
         values = dict(load_operation(OPERATION)) if operation is None else operation
-        self.extra.extend(encode_operation(values.items(), load_parameters()))
+        self.extra.extend(encode_operation(values.items(), own_parameters()))
 
     def plan(self) -> list[bytes]:
         """A straight path of 20 points, 5 m apart, ahead of the origin along x."""

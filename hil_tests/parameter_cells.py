@@ -16,9 +16,9 @@ import numpy as np
 from obc_harness import OPERATION
 
 from firmware.parameters import load_operation
-from firmware.tables import CrossCheck, Parameter, load_parameters
+from firmware.tables import CrossCheck, Parameter, own_parameters
 
-SCHEMA = load_parameters()
+SCHEMA = own_parameters()
 BY_NAME = {parameter.name: parameter for parameter in SCHEMA.parameters}
 
 KINDS = (

@@ -17,7 +17,7 @@ from bridge._native import lib
 from bridge.scenario import load_scenario
 from bridge.surroundings import TICK_US
 from firmware.parameters import load_operation
-from firmware.tables import load_faults
+from firmware.tables import own_faults
 from tools.realtime_run import PHASES_US
 from tools.run import find_scenario
 
@@ -81,7 +81,7 @@ def _parameter(name: str) -> Step:
 
 
 def _held(fault: str) -> Step:
-    cycles = next(one.debounce_cycles for one in load_faults() if one.name == fault)
+    cycles = next(one.debounce_cycles for one in own_faults() if one.name == fault)
     return Step(f"{fault} in {cycles} cycle" + "s" * (cycles > 1), (cycles - 1) * TICK_US)
 
 

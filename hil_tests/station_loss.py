@@ -9,11 +9,11 @@ from realtime_rig import FULL_BRAKE_PA, STEERED_BRAKE_PA, Car, Measured
 
 from bridge._native import lib
 from dbc.states import SysState
-from firmware.tables import load_faults
+from firmware.tables import own_faults
 
 ECUS = ("obc", "raptor", "space-drive")
 
-FAULTS = {fault.name: fault.id for fault in load_faults()}
+FAULTS = {fault.name: fault.id for fault in own_faults()}
 
 
 @dataclass(frozen=True)

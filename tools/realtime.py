@@ -23,7 +23,7 @@ from bridge.surroundings import STANDSTILL_SPEED, Ending
 from dbc.codec import profile
 from dbc.errors import ConfigurationError
 from firmware.parameters import Offence, decode_results, load_operation
-from firmware.tables import load_parameters
+from firmware.tables import own_parameters
 from tools.exit_status import ExitStatus
 from tools.jitter.machine import BUSY_SHARE, WATCH_S, busy_share
 from tools.progress import ProgressBar
@@ -236,7 +236,7 @@ def _verdict(recorded: Recorded, scenario: Scenario) -> tuple[Verdict, list[Offe
     verdicts = recorded.message("parameter_summary")["summary_verdict"]
     results = recorded.message("parameter_result")
     columns = (results[name].astype(int).tolist() for name in ("result_key", "result_status", "result_value"))
-    offences = decode_results(zip(*columns, strict=True), load_operation(scenario.operation), load_parameters())
+    offences = decode_results(zip(*columns, strict=True), load_operation(scenario.operation), own_parameters())
     return Verdict(int(verdicts[-1])) if verdicts.size else Verdict.PENDING, list(offences)
 
 

@@ -29,7 +29,7 @@ from dbc.codec import Codec, profile
 from dbc.errors import ConfigurationError, RaceloopError
 from dbc.states import CtState
 from firmware.parameters import Offence, decode_results, load_operation
-from firmware.tables import load_parameters
+from firmware.tables import own_parameters
 from tools.check_params import show_rejected
 from tools.exit_status import ExitStatus
 from tools.progress import ProgressBar
@@ -182,7 +182,7 @@ def conclude(scenario: Scenario, finished: bool, offences: Sequence[Offence], co
 def refused(bench: Bench) -> list[Offence]:
     """What the onboard computer has refused in the operation file."""
     answers = ((result.key, result.status, result.value) for result in bench.operator.offences)
-    return list(decode_results(answers, load_operation(bench.scenario.operation), load_parameters()))
+    return list(decode_results(answers, load_operation(bench.scenario.operation), own_parameters()))
 
 
 def run_summary(

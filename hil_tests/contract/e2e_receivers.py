@@ -18,9 +18,9 @@ from obc_harness import OPERATION, TICK_US, ObcHarness, Outbox, cast_frames
 from bridge._native import ffi, lib
 from dbc.codec import database
 from dbc.frames import FRAME_SIZE, Frame, Station, iterate
-from dbc.network import MessageFacts, load_network
+from dbc.network import MessageFacts, own_network
 from firmware.parameters import load_operation
-from firmware.tables import load_faults
+from firmware.tables import own_faults
 
 #: Recorded ticks: the longest time-out, one second, with room before and after.
 TICKS = 170
@@ -28,7 +28,7 @@ TICKS = 170
 #: First tick with a fault; all periods begin anew in it.
 BEGIN = 20
 
-NETWORK = {facts.message.name: facts for facts in load_network()}
+NETWORK = {facts.message.name: facts for facts in own_network()}
 
 _RX = ffi.typeof("codec_rx")
 
@@ -214,7 +214,7 @@ OBC_MISSED = frozenset(
 #: The sensors' samples are counted by their frames too.
 OBC_WRONG_SIZE = frozenset({"gnss_a_wrong_size", "gnss_b_wrong_size", "imu_wrong_size"})
 
-FAULTS = {fault.id: fault for fault in load_faults()}
+FAULTS = {fault.id: fault for fault in own_faults()}
 
 
 def obc_conditions(ecu: Any, names: frozenset[str]) -> frozenset[str]:

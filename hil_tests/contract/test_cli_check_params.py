@@ -12,10 +12,10 @@ from cli_harness import Command, assert_one_line, command
 from parameter_cells import EDGES, KINDS, SCHEMA, Cell, parameter_cell, rule_cell
 
 import scenarios
-from firmware.tables import load_parameters
+from firmware.tables import own_parameters
 
 GOOD = scenarios.DIRECTORY / "operations" / "solo.yaml"
-ALLOWED = {parameter.name: parameter.allowed() for parameter in load_parameters().parameters}
+ALLOWED = {parameter.name: parameter.allowed() for parameter in own_parameters().parameters}
 
 
 @pytest.fixture

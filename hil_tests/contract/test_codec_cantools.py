@@ -27,7 +27,7 @@ from dbc._codec import ffi, lib
 from dbc.codec import Codec, MessageCodec, database, profile
 from dbc.errors import CodecError
 from dbc.frames import FRAME_DTYPE, frame_array, iterate
-from dbc.network import load_network, raw_limits
+from dbc.network import own_network, raw_limits
 
 SEED = int(os.environ.get("RACELOOP_SEED", "20210107"))
 FRAMES = 100_000
@@ -38,7 +38,7 @@ V26 = profile("V26")
 DEFINITIONS = {
     (codec.profile, facts.message.name): facts.message
     for codec in (database, V26)
-    for facts in load_network(profile=codec.profile)
+    for facts in own_network(profile=codec.profile)
 }
 #: Of V26 what is not V14's as well.
 MESSAGES = [

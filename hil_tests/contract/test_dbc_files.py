@@ -11,14 +11,14 @@ import pytest
 from cantools.database.can import Signal
 
 from dbc.buses import DIRECTORY, PROFILES, STEMS, Bus
-from dbc.network import MessageFacts, load_database, load_network, raw_limits
+from dbc.network import MessageFacts, load_database, own_network, raw_limits
 from dbc.protocol_page import bus_load
 
 #: Facts of the public layouts, written down apart from the DBC files. An id with an x has 29 bits.
 LAYOUTS = Path(__file__).parent / "layouts.csv"
 
-NETWORK = load_network()
-V26 = load_network(profile="V26")
+NETWORK = own_network()
+V26 = own_network(profile="V26")
 #: Every message of every DBC file.
 EVERY = [*NETWORK, *(facts for facts in V26 if facts.bus == Bus.CAN1)]
 IDS = [f"{facts.database}.{facts.message.name}" for facts in EVERY]

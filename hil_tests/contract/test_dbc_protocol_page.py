@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from dbc.buses import PROFILES, Bus
-from dbc.network import load_network
+from dbc.network import own_network
 from dbc.protocol_page import FOLDER, bus_load, main, page_name, protocol_page
 
 
@@ -21,7 +21,7 @@ def test_committed_page_is_up_to_date(profile: str) -> None:
 @pytest.mark.parametrize("profile", PROFILES)
 def test_page_names_every_message_and_signal(profile: str) -> None:
     page = protocol_page(profile=profile)
-    for facts in load_network(profile=profile):
+    for facts in own_network(profile=profile):
         shown = profile == "V14" or facts.bus == Bus.CAN1
         assert (f"### {facts.message.name}\n" in page) == shown
         for signal in facts.message.signals:
@@ -43,12 +43,12 @@ def test_check_notices_a_difference(tmp_path: Path, capsys: pytest.CaptureFixtur
 
 def test_load_of_one_message_by_hand() -> None:
     """8 bytes, 11-bit id: 111 bits without and 135 with stuff bits; every 10 ms at 500 kbit/s."""
-    facts = next(facts for facts in load_network() if facts.message.name == "steering_cmd")
+    facts = next(facts for facts in own_network() if facts.message.name == "steering_cmd")
     load = bus_load([facts], 500_000)
     assert load.nominal == pytest.approx(111 * 100 / 500_000)
     assert load.stuffed == pytest.approx(135 * 100 / 500_000)
     assert bus_load([replace(facts, frames_per_cycle=3)], 500_000).nominal == pytest.approx(3 * load.nominal)
     assert bus_load([replace(facts, cycle_ms=0)], 500_000).nominal == 0
-    extended = next(facts for facts in load_network() if facts.message.is_extended_frame)
+    extended = next(facts for facts in own_network() if facts.message.is_extended_frame)
     assert bus_load([replace(extended, cycle_ms=10)], 500_000).nominal == pytest.approx(131 * 100 / 500_000)
     assert bus_load([replace(extended, cycle_ms=10)], 500_000).stuffed == pytest.approx(160 * 100 / 500_000)

@@ -26,7 +26,7 @@ from bridge.realtime.wired import Cell, WiredIo
 from dbc.buses import Bus, Station
 from dbc.codec import database, profile
 from dbc.frames import Frame
-from dbc.network import load_network
+from dbc.network import own_network
 
 pytestmark = pytest.mark.realtime
 
@@ -186,7 +186,7 @@ def wires(tmp_path: Path) -> Iterator[WiredIo]:
 
 @pytest.mark.parametrize("name", BUSES)
 def test_an_ecu_asks_for_what_the_files_say_and_speaks_on_its_buses(name: str, tmp_path: Path):
-    network = load_network()
+    network = own_network()
     station = STATIONS[name]
     with EcuProcess(name, tmp_path) as ecu:
         for bus, peer in ecu.peers.items():

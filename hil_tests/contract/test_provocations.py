@@ -18,10 +18,10 @@ from bridge.faults.provocations import (
 from bridge.safety.monitor import properties
 from dbc.codec import database
 from dbc.errors import ConfigurationError
-from firmware.tables import load_faults
+from firmware.tables import own_faults
 
 FILE = scenarios.DIRECTORY / "campaigns" / "provocations.yaml"
-FAULTS = {fault.name: fault for fault in load_faults()}
+FAULTS = {fault.name: fault for fault in own_faults()}
 PROVOCATIONS = load_provocations(FILE, database)
 ALL = [one for layer in PROVOCATIONS.values() for one in layer.values()]
 PROVOKER = Provoker(scenarios.DIRECTORY / "operations" / "solo.yaml", database)

@@ -10,9 +10,9 @@ import pytest
 from bridge._native import ffi, lib
 from dbc.codec import database
 from dbc.frames import FRAME_SIZE, Bus, Station
-from dbc.network import MessageFacts, load_network
+from dbc.network import MessageFacts, own_network
 
-NETWORK = load_network()
+NETWORK = own_network()
 TICKS = 3
 
 

@@ -42,12 +42,12 @@ from bridge.wiring import NOMINAL_FRICTION, PLACE_OF_FRICTION
 from dbc.errors import CodecError, ConfigurationError
 from dbc.frames import Bus, Station
 from dbc.states import SsmState, SysState
-from firmware.tables import load_faults
+from firmware.tables import own_faults
 from tools.run import build_bench, chosen_scenario
 
 FULL_BRAKE_PA = 4.5e6
 FULL_BRAKE_KPA = 4500.0
-FAULT = {fault.name: fault.id for fault in load_faults()}
+FAULT = {fault.name: fault.id for fault in own_faults()}
 
 
 def driving(bench: ObservedBench, speed: float = 10.0) -> None:

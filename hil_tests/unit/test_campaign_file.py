@@ -13,7 +13,7 @@ from bridge.campaign.file import Campaign, load_campaign, run_id
 from bridge.faults.provocations import LAYERS, load_provocations
 from dbc.codec import database
 from dbc.errors import ConfigurationError
-from firmware.tables import load_faults
+from firmware.tables import own_faults
 
 FOLDER = scenarios.DIRECTORY / "campaigns"
 CONTENT: dict[str, Any] = {
@@ -103,7 +103,7 @@ def test_the_shipped_campaign_is_large_and_has_every_fault_of_the_tables() -> No
     provocations = load_provocations(FOLDER / "provocations.yaml", database)
     possible = {f"{layer}.{name}" for layer in LAYERS for name, one in provocations[layer].items() if one.plans}
     assert possible <= names
-    assert {f"ssm.{fault.name}" for fault in load_faults()} <= names
+    assert {f"ssm.{fault.name}" for fault in own_faults()} <= names
     assert len(names - possible) >= 60
     kinds = {plan.fault.kind for fault in campaign.faults for plan in fault.plans}
     assert len(kinds) > 25

@@ -16,10 +16,10 @@ from obc_harness import ObcHarness
 from bridge._native import ffi, lib
 from dbc.codec import MessageCodec, database, profile
 from dbc.frames import FRAME_STRUCT, Bus, Flag, Frame, Station, iterate
-from dbc.network import load_network, raw_limits
+from dbc.network import own_network, raw_limits
 
 V26 = profile("V26")
-DEFINITIONS = {facts.message.name: facts.message for facts in load_network(profile="V26")}
+DEFINITIONS = {facts.message.name: facts.message for facts in own_network(profile="V26")}
 CAN1 = [message for message in database if message.bus == Bus.CAN1]
 
 #: Messages whose V14 signals V26 has in other places, or not at all.

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from bridge._native import lib
 from bridge.safety import limits
 from dbc.codec import database
-from firmware.tables import load_parameters
+from firmware.tables import own_parameters
 from tools.dbw import car_rules
 from tools.dbw.conformance import Conformance
 from tools.dbw.counters import Counter, CounterMode
@@ -187,7 +187,7 @@ def test_the_limits_are_those_of_the_firmware():
     steer, brake = (float(value) for value in re.findall(r"\.deviation = ([\d.e]+)f", axes))
     assert pytest.approx(np.degrees(steer), rel=1e-4) == car_rules.STEER_DEVIATION_DEG
     assert pytest.approx(brake / 1000) == car_rules.BRAKE_DEVIATION_KPA
-    (slew,) = (one for one in load_parameters().parameters if one.name == "steering_slew")
+    (slew,) = (one for one in own_parameters().parameters if one.name == "steering_slew")
     assert pytest.approx(np.degrees(slew.max) * 15.0, abs=0.1) == car_rules.STEERING_CMD_DEG_S
 
 

@@ -49,7 +49,7 @@ from dbc.errors import CodecError
 from dbc.frames import Bus, Flag, Station, iterate
 from dbc.states import SsmState
 from firmware.parameters import encode_operation
-from firmware.tables import load_parameters, parameter_key
+from firmware.tables import own_parameters, parameter_key
 
 TICK_US = 10_000
 TICKS = 20
@@ -520,7 +520,7 @@ def test_gnss_bias_is_in_metres() -> None:
 
 
 def test_parameter_altered() -> None:
-    schema = load_parameters()
+    schema = own_parameters()
     operation = [("max_speed", 63.0), ("max_cross_track_error", 2.0)]
     sent = encode_operation(operation, schema)
     rig = Rig()

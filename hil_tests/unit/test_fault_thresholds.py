@@ -14,9 +14,9 @@ from obc_harness import EARTH_RADIUS, OPERATION, ObcHarness
 
 from bridge._native import lib
 from firmware.parameters import load_operation
-from firmware.tables import load_faults
+from firmware.tables import own_faults
 
-FAULTS = {fault.name: fault for fault in load_faults()}
+FAULTS = {fault.name: fault for fault in own_faults()}
 LIMITS: dict[str, float] = {
     name: float(value) for name, value in load_operation(OPERATION) if isinstance(value, int | float)
 }

@@ -11,9 +11,9 @@ from obc_harness import NOISY, ObcHarness, drop
 from bridge._native import lib
 from dbc.codec import MessageCodec, database
 from dbc.frames import Station, iterate
-from firmware.tables import REACTIONS, load_faults
+from firmware.tables import REACTIONS, own_faults
 
-FAULTS = {fault.name: fault for fault in load_faults()}
+FAULTS = {fault.name: fault for fault in own_faults()}
 Provoke = Callable[[ObcHarness], None]
 
 

@@ -6,9 +6,9 @@ import pytest
 from obc_harness import ObcHarness
 
 from bridge._native import lib
-from firmware.tables import load_faults
+from firmware.tables import own_faults
 
-FAULT = {fault.name: fault.id for fault in load_faults()}
+FAULT = {fault.name: fault.id for fault in own_faults()}
 
 
 def racing(speed: float = 30.0) -> ObcHarness:

@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 
 from bridge._native import ffi, lib
-from firmware.tables import CrossCheck, Parameter, load_parameters, parameter_key
+from firmware.tables import CrossCheck, Parameter, own_parameters, parameter_key
 
-SCHEMA = load_parameters()
+SCHEMA = own_parameters()
 PARAMETERS = SCHEMA.parameters
 TYPES = {"float": lib.PARAMETER_FLOAT, "int": lib.PARAMETER_INT, "bool": lib.PARAMETER_BOOL}
 

@@ -18,7 +18,7 @@ from bridge.scenario import load_scenario
 from dbc.codec import database
 from dbc.frames import FRAME_DTYPE, Station
 from dbc.states import CtState, SsmState, SysState
-from firmware.tables import FAULTS_FILE, REACTIONS, load_faults
+from firmware.tables import FAULTS_FILE, REACTIONS, own_faults
 from tools.run import build_bench, find_scenario, load_road
 
 SCENARIO = load_scenario(find_scenario("short_drive"))
@@ -144,7 +144,7 @@ def frame_of(log: Recording, place: int) -> tuple[int, int]:
 
 
 def fault_event(name: str, active: bool = True) -> bytes:
-    (fault,) = (fault for fault in load_faults() if fault.name == name)
+    (fault,) = (fault for fault in own_faults() if fault.name == name)
     return database.message("fault_event").frame(fault.id, int(active), 0, REACTIONS.index(fault.reaction), 0, 0)
 
 
@@ -817,7 +817,7 @@ def test_limits_are_those_of_the_files() -> None:
     assert (LIMITS.throttle_percent, LIMITS.gears, LIMITS.standstill_speed) == (100.0, 6, 0.2)
     assert LIMITS.brakes.settled_us == 20_000 + 40_000 + 127_324 + 33_333 + 1  # 4 / (2 pi 5 Hz), rounded up
     assert pytest.approx(6000.0 * np.exp(-4.0)) == LIMITS.brakes.tolerance_kpa
-    full = [fault for fault in load_faults() if fault.reaction == "full_brake"]
+    full = [fault for fault in own_faults() if fault.reaction == "full_brake"]
     assert len(full) >= 10
     assert set(LIMITS.full_brake_faults) == {fault.id for fault in full}
     for fault in full:

@@ -10,7 +10,7 @@ from actuator_ecus import BRAKE_STOP, DEG, Outbox, Requests, SpaceDrive
 from bridge._native import ffi, lib
 from dbc.codec import database
 from dbc.frames import Bus, Station
-from dbc.network import load_network
+from dbc.network import own_network
 
 
 def sent_over(seconds: float, drive: SpaceDrive | None = None) -> list[list[object]]:
@@ -60,7 +60,7 @@ FAMILIES = {
 @pytest.mark.parametrize("family", FAMILIES)
 def test_messages_of_a_family_share_one_layout(family: str) -> None:
     """The firmware packs each family with one function."""
-    messages = {facts.message.name: facts.message for facts in load_network()}
+    messages = {facts.message.name: facts.message for facts in own_network()}
     layouts = {
         tuple((s.start, s.length, s.byte_order, s.is_signed, s.scale, s.offset) for s in messages[name].signals)
         for name in FAMILIES[family]
@@ -69,7 +69,7 @@ def test_messages_of_a_family_share_one_layout(family: str) -> None:
 
 
 def test_emr_brk_has_one_place_in_both_status_families() -> None:
-    messages = {facts.message.name: facts.message for facts in load_network()}
+    messages = {facts.message.name: facts.message for facts in own_network()}
     places = {messages[n].get_signal_by_name("emr_brk").start for f in ("stat_steer", "stat_brk") for n in FAMILIES[f]}
     assert len(places) == 1
 

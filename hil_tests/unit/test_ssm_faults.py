@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 
 from bridge._native import ffi, lib
-from firmware.tables import CONTROLLERS, LATCHES, REACTIONS, SCOPES, Fault, load_faults
+from firmware.tables import CONTROLLERS, LATCHES, REACTIONS, SCOPES, Fault, own_faults
 
-FAULTS = load_faults()
+FAULTS = own_faults()
 TICK_US = 10_000
 BY_NAME = {fault.name: fault for fault in FAULTS}
 

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from bridge._native import ffi, lib
-from firmware.tables import load_faults
+from firmware.tables import own_faults
 
 NOMINAL_LIMITS = (63.0, 8.0, 10.0)
 DEGRADED_LIMITS = (30.0, 3.0, 10.0)
@@ -21,7 +21,7 @@ FULL_BRAKE = lib.FAULT_MISC_REPORT_MISSING
 
 SHARES = {
     fault.id: (fault.speed_percent, fault.acceleration_percent)
-    for fault in load_faults()
+    for fault in own_faults()
     if fault.speed_percent is not None and fault.acceleration_percent is not None
 }
 
@@ -159,7 +159,7 @@ def test_degrades_and_recovers() -> None:
     assert ssm.step() == lib.SSM_NOMINAL
 
 
-@pytest.mark.parametrize("fault", sorted(SHARES), ids=lambda fault: load_faults()[fault - 1].name)
+@pytest.mark.parametrize("fault", sorted(SHARES), ids=lambda fault: own_faults()[fault - 1].name)
 def test_every_fault_has_its_own_limits(fault: int) -> None:
     ssm = Ssm().driving()
     row = lib.fault_table[fault]

@@ -11,7 +11,7 @@ import scenarios
 from bridge.faults.provocations import OPERATING_STATES, Duration, Provocation, Provoker, load_provocations
 from bridge.safety.track import TrackEdges
 from dbc.codec import Codec, profile
-from firmware.tables import Fault, load_faults
+from firmware.tables import Fault, own_faults
 from tools.reactions.states import SCENARIO
 from tools.run import load_road
 
@@ -51,7 +51,7 @@ class Matrix:
     def __post_init__(self) -> None:
         self.provocations = load_provocations(PROVOCATIONS_FILE, self.database)
         self.provoker = Provoker(SCENARIO.operation, self.database)
-        self.faults = {fault.name: fault for fault in load_faults()}
+        self.faults = {fault.name: fault for fault in own_faults()}
 
     def cells(self) -> Iterator[Cell]:
         """Every cell that exists: those of one fault side by side."""
