@@ -45,17 +45,24 @@ build: $(VENV)/.dependencies $(VENV)/.built ## Compile codec, firmware, FMUs and
 run: build ## Drive the scenario (SCENARIO=FILE, default the solo lap) and write the recordings to OUT=out
 	$(BIN)/raceloop run $(if $(SCENARIO),'$(SCENARIO)') --out '$(OUT)'
 
-# A file's tests stay in one process. Those in real time run alone: they would measure the others.
-WORKERS := -n 2 --dist loadfile
+# A file's tests stay in one process. The order of the folders is kept: last come unit's many short files, not the few
+# tests that drive laps, with which one worker would end alone.
+WORKERS := -n 2 --dist loadfile --no-loadscope-reorder
+# Those in real time run alone: they would measure the others. Collecting all files to find them takes its time.
+REALTIME_FILES = $(shell grep -rl --include='test_*.py' 'pytest\.mark\.realtime' hil_tests)
 
 .PHONY: test
 test: build ## Run all tests
 	$(BIN)/python -m pytest $(WORKERS) -m 'not realtime and not machine'
-	$(BIN)/python -m pytest -m 'realtime and not machine'
+	$(BIN)/python -m pytest -m 'realtime and not machine' $(REALTIME_FILES)
 
 .PHONY: test-vcan
 test-vcan: build ## Run the SocketCAN tests: on this kernel if it has vcan, else on Debian's kernels under QEMU
 	$(BIN)/python -m tools.vcan_machine
+
+.PHONY: test-machine
+test-machine: build ## Test the machine itself that the SocketCAN tests run in where this kernel has no vcan
+	$(BIN)/python -m pytest -m machine hil_tests/contract/test_vcan_machine.py
 
 .PHONY: matrix
 matrix: build ## Run the whole reaction matrix: every fault by operating state and duration; the table to OUT/reactions
