@@ -194,7 +194,7 @@ def make_parser() -> argparse.ArgumentParser:
         station.add_argument("scenario", type=Path, help="YAML file")
         station.add_argument("--profile", default=DEFAULT_PROFILE, help=f"of CAN1 (default: {DEFAULT_PROFILE})")
         station.add_argument("--bus", action="append", default=[], metavar="BUS=ADDRESS", help="repeat for each bus")
-        station.add_argument("--clouds", type=Path, metavar="FILE", help="local socket of LiDAR points (default: none)")
+        station.add_argument("--clouds", type=Path, metavar="FILE", help="file of LiDAR points (default: none)")
         station.add_argument("--epoch", type=_epoch_word, metavar="NS", help="CLOCK_MONOTONIC; -: ask (default: now)")
         station.add_argument("--phase", type=_count, default=0, metavar="US", help="within the period (default: 0)")
         station.add_argument(
