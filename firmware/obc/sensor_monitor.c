@@ -16,17 +16,6 @@ static const sensor_messages messages[SENSOR_COUNT] = {
     [SENSOR_IMU] = {SENSORS_IMU_RATES_FRAME_ID, 2, 2, sensor_values_take_imu},
 };
 
-/* Move on to the bucket of now_us, emptying those that are entered. */
-static void advance_buckets(sensor_state *self, uint64_t now_us)
-{
-    const uint64_t bucket = now_us / SENSOR_BUCKET_US;
-    for (uint32_t i = 0U; i < SENSOR_BUCKETS && self->bucket < bucket; i++) {
-        self->bucket++;
-        self->buckets[self->bucket % SENSOR_BUCKETS] = 0U;
-    }
-    self->bucket = bucket; /* after a gap of more than all buckets, which are empty now */
-}
-
 static void start_sample(sensor_state *self, uint64_t now_us)
 {
     if (self->seen) {
@@ -35,8 +24,7 @@ static void start_sample(sensor_state *self, uint64_t now_us)
     self->frames = 0U;
     self->seen = true;
     self->sample_us = now_us;
-    advance_buckets(self, now_us);
-    self->buckets[self->bucket % SENSOR_BUCKETS]++;
+    rate_counter_add(&self->rate, now_us);
 }
 
 void sensor_monitor_push(sensor_monitor *self, const can_frame *frame, uint64_t now_us)
@@ -77,11 +65,7 @@ static uint8_t find_jumps(const sensor_values *values, const sensor_limits *limi
 sensor_health sensor_monitor_check(sensor_monitor *self, uint32_t sensor, const sensor_limits *limits, uint64_t now_us)
 {
     sensor_state *state = &self->sensors[sensor];
-    advance_buckets(state, now_us);
-    uint32_t rate = 0U;
-    for (uint32_t i = 0U; i < SENSOR_BUCKETS; i++) {
-        rate += i == state->bucket % SENSOR_BUCKETS ? 0U : state->buckets[i];
-    }
+    const uint32_t rate = rate_counter_get(&state->rate, now_us);
     const uint64_t age_ms = state->seen ? (now_us - state->sample_us) / 1000U : UINT16_MAX;
     const bool timed_out = !state->seen || age_ms > limits->timeout_ms;
     const uint64_t still_ms = sensor_values_still_us(&state->values, messages[sensor].moving, now_us) / 1000U;

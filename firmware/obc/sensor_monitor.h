@@ -11,6 +11,7 @@
 
 #include "common/can_frame.h"
 #include "common/codec.h"
+#include "obc/rate_counter.h"
 #include "obc/sensor_values.h"
 
 enum sensor_id {
@@ -18,11 +19,6 @@ enum sensor_id {
     SENSOR_GNSS_B = 1,
     SENSOR_IMU = 2,
     SENSOR_COUNT = 3,
-};
-
-enum {
-    SENSOR_BUCKET_US = 100000, /* the rate is counted in buckets ... */
-    SENSOR_BUCKETS = 11,       /* ... of which ten are full and make one second */
 };
 
 /* Limits of one sensor. */
@@ -50,12 +46,11 @@ typedef struct sensor_health {
 /* Reception state of one sensor. */
 typedef struct sensor_state {
     codec_rx rx[SENSOR_FRAMES_MAX];
-    uint64_t sample_us;               /* start of the newest sample */
-    uint64_t bucket;                  /* number of the bucket being filled */
-    uint16_t buckets[SENSOR_BUCKETS]; /* samples, by number modulo SENSOR_BUCKETS */
-    uint16_t frames;                  /* of the sample being received */
-    uint16_t size;                    /* frames of the newest finished sample; 0: none yet */
-    bool seen;                        /* a sample has started */
+    uint64_t sample_us; /* start of the newest sample */
+    rate_counter rate;  /* of samples */
+    uint16_t frames;    /* of the sample being received */
+    uint16_t size;      /* frames of the newest finished sample; 0: none yet */
+    bool seen;          /* a sample has started */
     sensor_values values;
 } sensor_state;
 
