@@ -16,8 +16,8 @@ from firmware.parameters import ACCEPTED, ALTERED
 #: launch_request repeats every 100 ms while it is wanted.
 LAUNCH_PERIOD_US = 100_000
 
-#: Parameter frames per tick: what the onboard computer answers in one, so that its queue of results never overflows.
-WRITES_PER_TICK = 4
+#: Parameters per tick: what the onboard computer answers in one, so that its queue of results never overflows.
+WRITES_PER_TICK = 5
 
 
 class Verdict(IntEnum):
@@ -78,7 +78,8 @@ class OperatorStation:
         if self.listening:
             self._listen(now_us, frames)
         if self._pending:
-            size = WRITES_PER_TICK * FRAME_SIZE
+            # The commit, which is the last frame, has a tick of its own: every parameter is answered before it is.
+            size = max(min(WRITES_PER_TICK * FRAME_SIZE, len(self._pending) - FRAME_SIZE), FRAME_SIZE)
             sent, self._pending = self._pending[:size], self._pending[size:]
             return sent
         if now_us % LAUNCH_PERIOD_US == 0:

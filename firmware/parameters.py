@@ -45,7 +45,7 @@ _REASONS = {
     _SCHEMA_MISMATCH: "sender and firmware were built from different parameter schemas",
     ALTERED: "accepted with another value than was sent",
 }
-_WRITES_PER_TICK = 4
+_WRITES_PER_TICK = 5
 _TICKS_MAX = 10_000
 
 

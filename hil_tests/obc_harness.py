@@ -13,7 +13,8 @@ from firmware.parameters import encode_operation, load_operation
 from firmware.tables import own_parameters
 
 TICK_US = 10_000
-OPERATION = Path(__file__).resolve().parents[1] / "scenarios" / "operations" / "solo.yaml"
+OPERATIONS = Path(__file__).resolve().parents[1] / "scenarios" / "operations"
+OPERATION = OPERATIONS / "solo.yaml"
 CAPACITY = 256
 
 #: Signals of each sensor in whose last bit its noise shows, and that bit's worth.
@@ -63,9 +64,12 @@ class ObcHarness:
     `signals` holds the values of every message that is sent, by name (counters are filled in, and so are, where they
     say nothing, the noise of sensors and what an obedient car reports of its commands); a message that is not in
     `periods` is silent. Both are the test's to change. `received` holds the newest frame by message name.
+
+    With `perception` it is the computer of a car that sees others: the nodes of perception report, and there is notice
+    of scans: `scans` holds its signals and `scan_periods` its period by sensor_id.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, perception: bool = False) -> None:
         self.obc = ffi.new("obc *")
         lib.obc_init(self.obc)
         self.outbox = Outbox()
@@ -75,9 +79,17 @@ class ObcHarness:
         self.log: list[Frame] = []
         self.counters: dict[str, int] = {}
         self.extra: list[bytes] = []
-        self.progress: dict[int, int] = dict.fromkeys(range(lib.NODE_COUNT), 0)
-        self.node_codes = dict.fromkeys(range(lib.NODE_COUNT), 0)
-        self.node_reliability = dict.fromkeys(range(lib.NODE_COUNT), 100.0)
+        self.operation = OPERATIONS / "perception.yaml" if perception else OPERATION
+        nodes = range(lib.NODE_COUNT if perception else lib.NODE_PERCEPTION)
+        self.progress: dict[int, int] = dict.fromkeys(nodes, 0)
+        self.node_periods = dict.fromkeys(nodes, TICK_US)
+        self.node_codes = dict.fromkeys(nodes, 0)
+        self.node_reliability = dict.fromkeys(nodes, 100.0)
+        sizes = {3: 60_000, 4: 64} if perception else {}
+        self.scans: dict[int, dict[str, float]] = {sensor: {"sensor_data_size": size} for sensor, size in sizes.items()}
+        self.scan_periods = dict.fromkeys(sizes, 50_000)
+        self.sequences = dict.fromkeys(sizes, 0)
+        self.frozen_scans: set[int] = set()
         self.frozen_nodes: set[int] = set()
         self.frozen_sensors: set[str] = set()
         self.travelled_m = 0.0
@@ -114,7 +126,7 @@ class ObcHarness:
 
     def configure(self, operation: dict[str, object] | None = None) -> None:
         """Queue an operation file's frames for the next tick."""
-        values = dict(load_operation(OPERATION)) if operation is None else operation
+        values = dict(load_operation(self.operation)) if operation is None else operation
         self.extra.extend(encode_operation(values.items(), own_parameters()))
 
     def plan(self) -> list[bytes]:
@@ -150,15 +162,23 @@ class ObcHarness:
         for node, code in self.node_codes.items():
             if node in self.silent_nodes:
                 continue
-            if node not in self.frozen_nodes:
+            if node not in self.frozen_nodes and self.now_us % self.node_periods[node] == 0:
                 self.progress[node] = (self.progress[node] + 1) & 0xFFFF
-            yield self.message(
-                "node_status",
-                node_id=node,
-                node_status_code=code,
-                node_reliability=self.node_reliability[node],
-                node_heartbeat=self.progress[node],
-            )
+            word = "perception" if node >= lib.NODE_PERCEPTION else "node"
+            report = {
+                "id": node,
+                "status_code": code,
+                "reliability": self.node_reliability[node],
+                "heartbeat": self.progress[node],
+            }
+            yield self.message(f"{word}_status", **{f"{word}_{key}": value for key, value in report.items()})
+        for sensor, scan in self.scans.items():
+            if self.now_us % self.scan_periods[sensor] == 0:
+                if sensor not in self.frozen_scans:
+                    self.sequences[sensor] = (self.sequences[sensor] + 1) & 0xFFFF
+                yield self.message(
+                    "sensor_notice", **{"sensor_id": sensor, "sensor_sequence": self.sequences[sensor]} | scan
+                )
         if self.planning and self.now_us % 50_000 == 0:
             yield from self.plan()
 

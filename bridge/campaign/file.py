@@ -189,7 +189,7 @@ def _excused(path: Path, key: str, reasons: Mapping[str, str]) -> Mapping[str, s
 def _provoked(
     path: Path, file: Path, entry: Mapping[str, Any], scenario: Scenario, watch_us: int
 ) -> Iterator[CampaignFault]:
-    """A fault for each provocation that can be injected, for good."""
+    """A fault for each provocation that can be injected into the scenario's car, for good."""
     database = profile(scenario.profile)
     provoker = Provoker(scenario.operation, database)
     more = {
@@ -204,7 +204,7 @@ def _provoked(
     for layer in LAYERS:
         for name, provocation in told[layer].items():
             plans = provoker.plans(provocation, Duration.PERMANENT)
-            if provocation.plans and plans:
+            if provoker.suits(provocation) and plans:
                 excused = dict.fromkeys(provocation.excused, "the provocation breaks it by itself")
                 full = f"{layer}.{name}"
                 yield CampaignFault(full, plans, watch_us, excused | dict(more.get(full, {})))

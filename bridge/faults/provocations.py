@@ -17,7 +17,7 @@ from bridge._native import lib
 from bridge.faults.fault import Fault, FrameFault
 from bridge.faults.plan import FaultPlan, Onset
 from bridge.faults.reading import fault_schema, read_faults
-from bridge.faults.signals import SENSORS, SensorFrozen
+from bridge.faults.signals import SCANNERS, SENSORS, SensorFrozen, node_report
 from bridge.yaml_file import check_schema, read_yaml
 from dbc.buses import Station
 from dbc.codec import Codec, MessageCodec
@@ -84,6 +84,7 @@ class Provocation:
     durations : times of a plan by duration, where they do not follow; None where there is no such duration.
     resets : taking it away from a standing car is a reset by the operator.
     excused : ids of safety properties that it breaks by itself.
+    perception : it takes a car that must see others; all that do not are for a car that drives alone.
     reaction, diagnostic : of layers other than ssm; bits of diagnostic_report by name.
     """
 
@@ -98,6 +99,7 @@ class Provocation:
     durations: Mapping[Duration, Mapping[str, Any] | None] = field(default_factory=dict)
     resets: bool = False
     excused: tuple[str, ...] = ()
+    perception: bool = False
     reaction: str = ""
     diagnostic: tuple[str, ...] = ()
 
@@ -120,6 +122,10 @@ class Provoker:
         self._database = database
         self._units = {row.name: row.unit for row in own_parameters().parameters}
         self._operation = dict(load_operation(operation))
+
+    def suits(self, provocation: Provocation) -> bool:
+        """Whether it can be injected, and its fault is supervised in this car: with perception required, or without."""
+        return bool(provocation.plans) and provocation.perception == (self._operation["perception_required"] is True)
 
     def condition_us(self, provocation: Provocation, first_us: int) -> tuple[int, int]:
         """When the condition begins at the earliest and at the latest.
@@ -227,7 +233,9 @@ class Provoker:
 
     def _cycle_us(self, provocation: Provocation) -> int:
         message = self._message(provocation.plans[0].fault)
-        return _TICK_US if message is None else message.cycle_us or _TICK_US
+        if message is None:
+            return _TICK_US
+        return message.cycle_us or (provocation.detection.period_ms or CYCLE_MS) * 1000
 
     def _message(self, fault: Fault) -> MessageCodec | None:
         """The message whose frames are befallen; the first one of a sensor's sample."""
@@ -237,8 +245,10 @@ class Provoker:
         sensor = getattr(fault, "sensor", None)
         if sensor in SENSORS:
             name = next(message.name for message in self._database if message.name.startswith(f"{sensor}_"))
-        elif getattr(fault, "node", None) is not None:
-            name = "node_status"
+        elif getattr(fault, "scanner", None) in SCANNERS:
+            name = "sensor_notice"
+        elif (node := getattr(fault, "node", None)) is not None:
+            name, _ = node_report(self._database, node)
         return None if name is None else self._database.message(name)
 
     def _limit(self, name: str, count_us: int) -> int:
@@ -300,6 +310,7 @@ def _provocation(path: Path, layer: str, name: str, entry: Mapping[str, Any], da
         durations={Duration(key): times for key, times in entry.get("durations", {}).items()},
         resets=entry.get("resets", False),
         excused=tuple(entry.get("excused", ())),
+        perception=entry.get("perception", False),
         reaction=entry.get("reaction", ""),
         diagnostic=tuple(entry.get("diagnostic", ())),
     )
@@ -375,6 +386,7 @@ def _schema() -> dict[str, Any]:
         },
         "resets": {"type": "boolean"},
         "excused": names,
+        "perception": {"type": "boolean"},
     }
     either = [{"required": ["faults"]}, {"required": ["reason"]}]
 

@@ -21,6 +21,9 @@ from firmware.tables import own_parameters, parameter_key
 #: Sensors by the beginning of the names of their messages.
 SENSORS = ("gnss_a", "gnss_b", "imu")
 
+#: Sensors that the onboard computer knows by the notices of their scans, by their names in sensor_notice.
+SCANNERS = ("lidar", "radar")
+
 
 @dataclass(frozen=True, kw_only=True)
 class _SignalFault(FrameFault):
@@ -108,34 +111,49 @@ class Noise(_SignalFault):
         return value + memory.random.gauss(0.0, self.sigma)
 
 
-# --- nodes of the autonomy partition, which report in node_status
+# --- nodes of the autonomy partition, each of which reports in one of two messages
+
+
+def node_report(database: Codec, node: str) -> tuple[str, int]:
+    """Message in which a node reports, and its number in there.
+
+    Raises
+    ------
+    CodecError
+        When there is no such node.
+    """
+    nodes = {
+        name.lower(): (message, code)
+        for message, signal in (("node_status", "node_id"), ("perception_status", "perception_id"))
+        for code, name in database.message(message).choices[signal].items()
+    }
+    if node not in nodes:
+        raise CodecError(f"no node is called {node!r}; there are {', '.join(nodes)}")
+    return nodes[node]
 
 
 @dataclass(frozen=True, kw_only=True)
 class _NodeFault(FrameFault):
-    """Changes what one node says of itself in node_status; the other nodes' frames pass."""
+    """Changes what one node says of itself; the other nodes' frames pass."""
 
     node: str
 
     def check(self, database: Codec) -> None:
-        self._number(database)
+        node_report(database, self.node)
 
     def selection(self, database: Codec) -> Selection:
-        of_message, number = frames_of(database, ["node_status"]), self._number(database)
+        message, number = node_report(database, self.node)
+        of_message = frames_of(database, [message])
         return lambda frames: of_message(frames) & (frames["data"][:, 0] == number)
 
     def alter(self, frame: Frame, memory: Memory) -> list[Frame]:
-        return [with_values(memory.database.message("node_status"), frame, lambda values: self.change(values, memory))]
+        message, _ = node_report(memory.database, self.node)
+        codec, word = memory.database.message(message), message.removesuffix("status")
+        return [with_values(codec, frame, lambda values: self.change(values, word, memory))]
 
-    def change(self, values: dict[str, float], memory: Memory) -> None:
-        """Change the signals of the frame."""
+    def change(self, values: dict[str, float], word: str, memory: Memory) -> None:
+        """Change the signals of the frame, whose names begin with a word."""
         raise NotImplementedError
-
-    def _number(self, database: Codec) -> int:
-        nodes = {name.lower(): code for code, name in database.message("node_status").choices["node_id"].items()}
-        if self.node not in nodes:
-            raise CodecError(f"no node is called {self.node!r}; there are {', '.join(nodes)}")
-        return nodes[self.node]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -144,8 +162,8 @@ class HeartbeatStalled(_NodeFault):
 
     kind = "heartbeat_stalled"
 
-    def change(self, values: dict[str, float], memory: Memory) -> None:
-        values["node_heartbeat"] = memory.kept.setdefault("heartbeat", values["node_heartbeat"])
+    def change(self, values: dict[str, float], word: str, memory: Memory) -> None:
+        values[f"{word}heartbeat"] = memory.kept.setdefault("heartbeat", values[f"{word}heartbeat"])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -155,8 +173,8 @@ class StatusCode(_NodeFault):
     kind = "status_code"
     code: int = parameter(minimum=0, maximum=255)
 
-    def change(self, values: dict[str, float], memory: Memory) -> None:
-        values["node_status_code"] = float(self.code)
+    def change(self, values: dict[str, float], word: str, memory: Memory) -> None:
+        values[f"{word}status_code"] = float(self.code)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -166,8 +184,67 @@ class Reliability(_NodeFault):
     kind = "reliability"
     percent: float = parameter(minimum=0, maximum=100)
 
+    def change(self, values: dict[str, float], word: str, memory: Memory) -> None:
+        values[f"{word}reliability"] = self.percent
+
+
+# --- sensors of perception, of whose scans autonomy gives notice
+
+
+@dataclass(frozen=True, kw_only=True)
+class _ScanFault(FrameFault):
+    """Befalls the notices of one sensor's scans: what the onboard computer knows of them."""
+
+    scanner: str = parameter(enum=list(SCANNERS))
+
+    def check(self, database: Codec) -> None:
+        if self.scanner not in SCANNERS:
+            raise CodecError(f"no scanner is called {self.scanner!r}; there are {', '.join(SCANNERS)}")
+
+    def selection(self, database: Codec) -> Selection:
+        notice = database.message("sensor_notice")
+        (number,) = (code for code, name in notice.choices["sensor_id"].items() if name.lower() == self.scanner)
+        of_message = frames_of(database, [notice.name])
+        return lambda frames: of_message(frames) & (frames["data"][:, 0] == number)
+
+    def alter(self, frame: Frame, memory: Memory) -> list[Frame]:
+        notice = memory.database.message("sensor_notice")
+        return [with_values(notice, frame, lambda values: self.change(values, memory))]
+
     def change(self, values: dict[str, float], memory: Memory) -> None:
-        values["node_reliability"] = self.percent
+        """Change the signals of the notice."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScanOutage(_ScanFault):
+    """There is no notice of the sensor's scans."""
+
+    kind = "scan_outage"
+
+    def alter(self, frame: Frame, memory: Memory) -> list[Frame]:
+        return []
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScanFrozen(_ScanFault):
+    """Every scan is the first one again."""
+
+    kind = "scan_frozen"
+
+    def change(self, values: dict[str, float], memory: Memory) -> None:
+        values["sensor_sequence"] = memory.kept.setdefault("sequence", values["sensor_sequence"])
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScanSize(_ScanFault):
+    """Every scan has so many points (lidar) or frames (radar)."""
+
+    kind = "scan_size"
+    size: int = parameter(minimum=0, maximum=(1 << 24) - 1)
+
+    def change(self, values: dict[str, float], memory: Memory) -> None:
+        values["sensor_data_size"] = float(self.size)
 
 
 # --- sensors

@@ -150,6 +150,69 @@ static void detect_sensors(const fault_sources *sources, fault_conditions *condi
     }
 }
 
+/* Faults and parameters of each sensor of perception. */
+typedef struct scan_row {
+    uint8_t timeout_fault;
+    uint8_t rate_fault;
+    uint8_t size_fault;
+    uint8_t frozen_fault;
+    uint8_t timeout;
+    uint8_t min_rate;
+    uint8_t size;
+    bool size_is_exact; /* else it is the least */
+} scan_row;
+
+static const scan_row scan_rows[SCAN_COUNT] = {
+    [SCAN_LIDAR] =
+        {
+            .timeout_fault = FAULT_LIDAR_TIMEOUT,
+            .rate_fault = FAULT_LIDAR_LOW_RATE,
+            .size_fault = FAULT_LIDAR_WRONG_SIZE,
+            .frozen_fault = FAULT_LIDAR_FROZEN,
+            .timeout = PARAMETER_LIDAR_TIMEOUT,
+            .min_rate = PARAMETER_LIDAR_MIN_RATE,
+            .size = PARAMETER_LIDAR_MIN_POINTS,
+            .size_is_exact = false,
+        },
+    [SCAN_RADAR] =
+        {
+            .timeout_fault = FAULT_RADAR_TIMEOUT,
+            .rate_fault = FAULT_RADAR_LOW_RATE,
+            .size_fault = FAULT_RADAR_WRONG_SIZE,
+            .frozen_fault = FAULT_RADAR_FROZEN,
+            .timeout = PARAMETER_RADAR_TIMEOUT,
+            .min_rate = PARAMETER_RADAR_MIN_RATE,
+            .size = PARAMETER_RADAR_DATA_SIZE,
+            .size_is_exact = true,
+        },
+};
+
+/* A car without perception has neither its sensors nor its nodes, and lacks nothing. */
+static bool perception_required(const fault_sources *sources)
+{
+    return parameters_integer(sources->parameters, PARAMETER_PERCEPTION_REQUIRED) != 0;
+}
+
+static void detect_scans(const fault_sources *sources, fault_conditions *conditions)
+{
+    const uint32_t count = perception_required(sources) ? (uint32_t)SCAN_COUNT : 0U;
+    for (uint32_t i = 0U; i < count; i++) {
+        const scan_row *row = &scan_rows[i];
+        const uint32_t size = (uint32_t)parameters_integer(sources->parameters, row->size);
+        const scan_limits limits = {
+            .timeout_ms = milliseconds(sources, row->timeout),
+            .min_rate = parameters_real(sources->parameters, row->min_rate),
+            .min_size = size,
+            .max_size = row->size_is_exact ? size : UINT32_MAX,
+        };
+        const scan_health health = scan_monitor_check(sources->scans, i, &limits, sources->now_us);
+        set(conditions, row->timeout_fault, health.timed_out, health.age_ms);
+        set(conditions, row->rate_fault, health.low_rate, health.rate);
+        set(conditions, row->size_fault, health.wrong_size, health.size);
+        set(conditions, row->frozen_fault, health.frozen, health.still_ms);
+    }
+}
+
 /* Faults of each node. */
 typedef struct node_row {
     uint8_t not_ok;
@@ -164,6 +227,14 @@ static const node_row node_rows[NODE_COUNT] = {
     [NODE_PLANNING] = {FAULT_PLANNING_NOT_OK, FAULT_PLANNING_FAILED, FAULT_PLANNING_STALLED,
                        FAULT_PLANNING_LOW_RELIABILITY},
     [NODE_WALL] = {FAULT_WALL_NOT_OK, FAULT_WALL_FAILED, FAULT_WALL_STALLED, FAULT_WALL_LOW_RELIABILITY},
+    [NODE_LIDAR_DETECTION] = {FAULT_LIDAR_DETECTION_NOT_OK, FAULT_LIDAR_DETECTION_FAILED, FAULT_LIDAR_DETECTION_STALLED,
+                              FAULT_LIDAR_DETECTION_LOW_RELIABILITY},
+    [NODE_RADAR_DETECTION] = {FAULT_RADAR_DETECTION_NOT_OK, FAULT_RADAR_DETECTION_FAILED, FAULT_RADAR_DETECTION_STALLED,
+                              FAULT_RADAR_DETECTION_LOW_RELIABILITY},
+    [NODE_TRACKING] = {FAULT_TRACKING_NOT_OK, FAULT_TRACKING_FAILED, FAULT_TRACKING_STALLED,
+                       FAULT_TRACKING_LOW_RELIABILITY},
+    [NODE_PREDICTION] = {FAULT_PREDICTION_NOT_OK, FAULT_PREDICTION_FAILED, FAULT_PREDICTION_STALLED,
+                         FAULT_PREDICTION_LOW_RELIABILITY},
 };
 
 static void detect_nodes(const fault_sources *sources, fault_conditions *conditions)
@@ -173,7 +244,8 @@ static void detect_nodes(const fault_sources *sources, fault_conditions *conditi
         .heartbeat_timeout_ms = milliseconds(sources, PARAMETER_NODE_HEARTBEAT_TIMEOUT),
         .min_reliability = parameters_real(sources->parameters, PARAMETER_NODE_MIN_RELIABILITY),
     };
-    for (uint32_t i = 0U; i < NODE_COUNT; i++) {
+    const uint32_t count = perception_required(sources) ? (uint32_t)NODE_COUNT : (uint32_t)NODE_PERCEPTION;
+    for (uint32_t i = 0U; i < count; i++) {
         const node_row *row = &node_rows[i];
         const node_health health = node_monitor_check(sources->nodes, i, &limits, sources->now_us);
         set(conditions, row->not_ok, !health.ok, health.status_code);
@@ -338,6 +410,7 @@ void fault_detection_step(fault_detection *self, const fault_sources *sources, f
     detect_computer(sources, conditions);
     detect_launch(sources, conditions);
     detect_sensors(sources, conditions);
+    detect_scans(sources, conditions);
     detect_nodes(sources, conditions);
     detect_autonomy_results(sources, conditions);
     detect_control(sources, conditions);

@@ -13,6 +13,7 @@
 #include "obc/fault_monitor.h"
 #include "obc/node_monitor.h"
 #include "obc/parameters.h"
+#include "obc/scan_monitor.h"
 #include "obc/sensor_monitor.h"
 #include "obc/trajectory.h"
 #include "obc/vehicle_feedback.h"
@@ -23,6 +24,7 @@ typedef struct fault_sources {
     const parameters *parameters;
     const node_monitor *nodes;
     sensor_monitor *sensors;
+    scan_monitor *scans;
     const vehicle_feedback *vehicle;
     const estimate_receiver *estimate;
     const wall_receiver *wall;

@@ -13,9 +13,11 @@ static bool is_failure(uint8_t status_code)
 void node_monitor_push(node_monitor *self, const can_frame *frame, uint64_t now_us)
 {
     const codec_message *message = NULL;
-    struct autonomy_node_status_t report = {0};
+    struct autonomy_node_status_t report = {0}; /* perception_status is laid out alike */
     (void)autonomy_node_status_unpack(&report, frame->data, CAN_DATA_MAX);
-    if (codec_accept(frame, &message) != CODEC_OK || report.node_id >= NODE_COUNT) {
+    const bool of_perception = frame->id == AUTONOMY_PERCEPTION_STATUS_FRAME_ID;
+    if (codec_accept(frame, &message) != CODEC_OK || report.node_id >= NODE_COUNT ||
+        (report.node_id >= NODE_PERCEPTION) != of_perception) {
         self->rejected++;
         return;
     }

@@ -11,12 +11,18 @@
 
 #include "common/can_frame.h"
 
-/* Registered nodes; the numbers are those of node_status.node_id. */
+/* Registered nodes; the numbers are those of node_status.node_id, and of perception_status.perception_id from
+ * NODE_PERCEPTION on. */
 enum node_id {
     NODE_ESTIMATION = 0,
     NODE_PLANNING = 1,
     NODE_WALL = 2,
-    NODE_COUNT = 3,
+    NODE_LIDAR_DETECTION = 3,
+    NODE_RADAR_DETECTION = 4,
+    NODE_TRACKING = 5,
+    NODE_PREDICTION = 6,
+    NODE_COUNT = 7,
+    NODE_PERCEPTION = NODE_LIDAR_DETECTION, /* the first node of perception */
 };
 
 /* Status codes (SSM-5); the numbers are those of node_status.node_status_code. */
@@ -60,10 +66,10 @@ typedef struct node_state {
 /* All nodes: zero it to start. */
 typedef struct node_monitor {
     node_state nodes[NODE_COUNT];
-    uint32_t rejected; /* frames that cannot be read, or of a node that is not registered */
+    uint32_t rejected; /* frames that cannot be read, or of a node that does not report in them */
 } node_monitor;
 
-/* Take a node_status frame from CAN-A. now_us: time of the tick, monotonic. */
+/* Take a node_status or a perception_status frame from CAN-A. now_us: time of the tick, monotonic. */
 void node_monitor_push(node_monitor *self, const can_frame *frame, uint64_t now_us);
 
 /* Verdict on a node. node: enum node_id below NODE_COUNT. */

@@ -9,7 +9,7 @@
 
 enum {
     EVENTS_PER_TICK = 4, /* paces what comes in bursts on CAN-A */
-    RESULTS_PER_TICK = 4,
+    RESULTS_PER_TICK = 5,
 };
 
 static float real(const obc *self, uint32_t index)
@@ -90,7 +90,11 @@ static void receive_autonomy(obc *self, const can_frame *frame)
         receive_launch(self, frame);
         break;
     case AUTONOMY_NODE_STATUS_FRAME_ID:
+    case AUTONOMY_PERCEPTION_STATUS_FRAME_ID:
         node_monitor_push(&self->nodes, frame, self->io.now_us);
+        break;
+    case AUTONOMY_SENSOR_NOTICE_FRAME_ID:
+        scan_monitor_push(&self->scans, frame, self->io.now_us);
         break;
     case AUTONOMY_TRAJECTORY_HEADER_FRAME_ID:
     case AUTONOMY_TRAJECTORY_POSE_FRAME_ID:
@@ -175,6 +179,7 @@ static void run_monitor(void *context)
         .parameters = &self->parameters,
         .nodes = &self->nodes,
         .sensors = &self->sensors,
+        .scans = &self->scans,
         .vehicle = &self->vehicle,
         .estimate = &self->estimate,
         .wall = &self->wall,

@@ -17,6 +17,7 @@
 #include "obc/fault_detection.h"
 #include "obc/node_monitor.h"
 #include "obc/parameters.h"
+#include "obc/scan_monitor.h"
 #include "obc/sensor_monitor.h"
 #include "obc/ssm.h"
 #include "obc/status_report.h"
@@ -60,6 +61,7 @@ typedef struct obc {
     uint32_t doubled_id;      /* of a message of ours that another station sent, heard in this tick; 0: none */
     parameters parameters;
     sensor_monitor sensors;
+    scan_monitor scans;
     node_monitor nodes;
     vehicle_feedback vehicle;
     estimate_receiver estimate;

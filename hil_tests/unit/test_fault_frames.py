@@ -32,9 +32,13 @@ from bridge.faults import (
     Onset,
     ParameterAltered,
     Partition,
+    Reliability,
     Reorder,
     Replay,
     Scale,
+    ScanFrozen,
+    ScanOutage,
+    ScanSize,
     SensorFrozen,
     SensorOutage,
     Silent,
@@ -59,6 +63,7 @@ steering, brake = database.message("steering_cmd"), database.message("brake_pres
 request = database.message("req_steer_pos")
 position, imu = database.message("gnss_a_position"), database.message("imu_rates")
 node, ssm = database.message("node_status"), database.message("ssm_status")
+perception, notice = database.message("perception_status"), database.message("sensor_notice")
 
 #: Latitude and longitude of the receiver.
 PLACE = (36.27, -115.01)
@@ -88,6 +93,8 @@ class Rig:
         self.network.transmit(Bus.CAN_S)
         for number in (0, 1):
             self.network.submit(Station.AUTONOMY, node.frame(number, 0, 100, 1000 + tick, 0))
+            self.network.submit(Station.AUTONOMY, perception.frame(5 + number, 0, 100, 3000 + tick, 0))
+            self.network.submit(Station.AUTONOMY, notice.frame(3 + number, 2000 + tick, 64, 0))
         self.network.transmit(Bus.CAN_A)
         self.network.submit(Station.OBC, steering.frame(tick, tick) + brake.frame(100.0, tick))
         self.network.transmit(Bus.CAN1, Bus.CAN_A)
@@ -492,6 +499,36 @@ def test_heartbeat_and_status_are_those_of_one_node() -> None:
             assert now == was
 
 
+def test_nodes_of_perception_report_in_their_own_message() -> None:
+    for fault, place, expected in (
+        (HeartbeatStalled(node="tracking"), "perception_heartbeat", 3000.0 + BEGIN),
+        (StatusCode(node="tracking", code=200), "perception_status_code", 200.0),
+        (Reliability(node="tracking", percent=20.0), "perception_reliability", 20.0),
+    ):
+        before, after, _ = during(fault, perception)
+        for old, new in zip(before, after, strict=True):
+            was, now = (dict(zip(perception.signals, perception.decode(row[6]), strict=True)) for row in (old, new))
+            assert now == (was | {place: expected} if was["perception_id"] == 5.0 else was)
+
+
+@pytest.mark.parametrize(
+    ("fault", "change"),
+    [
+        (ScanFrozen(scanner="radar"), {"sensor_sequence": 2000.0 + BEGIN}),
+        (ScanSize(scanner="radar", size=63), {"sensor_data_size": 63.0}),
+        (ScanOutage(scanner="radar"), None),
+    ],
+)
+def test_scans_of_one_sensor(fault: Fault, change: dict[str, float] | None) -> None:
+    before, after, _ = during(fault, notice)
+    was, now = (
+        [dict(zip(notice.signals, notice.decode(row[6]), strict=True)) for row in rows] for rows in (before, after)
+    )
+    assert {values["sensor_id"] for values in was} == {3.0, 4.0}
+    expected = [values for values in was if change is not None or values["sensor_id"] == 3.0]
+    assert now == [values | (change or {}) if values["sensor_id"] == 4.0 else values for values in expected]
+
+
 # --- sensors and parameters
 
 
@@ -622,6 +659,8 @@ def test_two_faults_work_one_after_the_other() -> None:
         (Corrupt(message="steering_cmd"), {}, "needs bits or random_bits"),
         (HeartbeatStalled(node="driver"), {}, "there are estimation, planning"),
         (SensorOutage(sensor="gnss_c"), {}, "there are gnss_a, gnss_b, imu"),
+        (ScanOutage(scanner="sonar"), {}, "there are lidar, radar"),
+        (StatusCode(node="detection", code=200), {}, "there are estimation, planning, wall, lidar_detection"),
         (ParameterAltered(name="max_sped", value=1.0), {}, "the nearest is 'max_speed'"),
         (Drop(message="steering_cmd"), {"times": 2}, "needs every_s"),
         (Drop(message="steering_cmd"), {"times": 2, "every_us": 9}, "needs for_s or for_frames"),

@@ -22,7 +22,8 @@ class Nodes:
         self.now_us = 0
 
     def push(self, code: int = 0, heartbeat: int = 0, reliability: float = 100.0, node: int = PLANNING) -> None:
-        self.push_frame(database.message("node_status").frame(node, code, reliability, heartbeat, 0))
+        message = "perception_status" if lib.NODE_PERCEPTION <= node < lib.NODE_COUNT else "node_status"
+        self.push_frame(database.message(message).frame(node, code, reliability, heartbeat, 0))
 
     def push_frame(self, frame: bytes) -> None:
         array, _ = cast_frames(frame)
@@ -90,12 +91,24 @@ def test_reliability(reliability: float, unreliable: bool) -> None:
     assert nodes.check()["unreliable"] == unreliable
 
 
-def test_nodes_are_told_apart() -> None:
+@pytest.mark.parametrize("node", range(lib.NODE_COUNT))
+def test_nodes_are_told_apart(node: int) -> None:
     nodes = Nodes()
-    nodes.push(200, node=lib.NODE_ESTIMATION)
-    nodes.push(0, node=lib.NODE_PLANNING)
-    assert nodes.check(lib.NODE_ESTIMATION)["failed"]
-    assert nodes.check(lib.NODE_PLANNING) == HEALTHY
+    for number in range(lib.NODE_COUNT):
+        nodes.push(200 if number == node else 0, node=number)
+    for number in range(lib.NODE_COUNT):
+        assert nodes.check(number) == (
+            HEALTHY | {"status_code": 200, "ok": False, "failed": True} if number == node else HEALTHY
+        )
+
+
+@pytest.mark.parametrize("node", range(lib.NODE_COUNT))
+def test_a_node_reports_in_its_own_message_only(node: int) -> None:
+    other = "node_status" if node >= lib.NODE_PERCEPTION else "perception_status"
+    nodes = Nodes()
+    nodes.push_frame(database.message(other).frame(node, 0, 100.0, 1, 0))
+    assert nodes.c.rejected == 1
+    assert nodes.check(node)["failed"]
 
 
 def test_frames_that_are_not_to_be_used_are_counted() -> None:
@@ -104,7 +117,7 @@ def test_frames_that_are_not_to_be_used_are_counted() -> None:
     bad = [good._replace(dlc=7), good._replace(flags=int(Flag.REMOTE)), good._replace(flags=int(Flag.ERROR))]
     for frame in bad:
         nodes.push_frame(frame.pack())
-    nodes.push(node=lib.NODE_WALL + 1)
+    nodes.push(node=lib.NODE_COUNT)
     nodes.push(node=255)
     assert nodes.c.rejected == 5
     assert nodes.check()["failed"]

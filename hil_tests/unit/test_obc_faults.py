@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from obc_harness import NOISY, ObcHarness, drop
+from obc_harness import NOISY, OPERATION, OPERATIONS, ObcHarness, drop
 
 from bridge._native import lib
 from dbc.codec import MessageCodec, database
@@ -153,6 +153,32 @@ def slow_down(report: str, **values: float) -> Provoke:
     return apply
 
 
+def node_cases(number: int, name: str) -> list[tuple[str, str, Provoke]]:
+    """All ways in which a node is not what it should be."""
+    return [
+        *((f"{name}_not_ok", word, node(number, code=code)) for word, code in NOT_READY.items()),
+        *((f"{name}_failed", word, node(number, code=code)) for word, code in FAILED.items()),
+        (f"{name}_failed", "silent", node(number, silent=True)),
+        (f"{name}_stalled", "frozen", node(number, frozen=True)),
+        (f"{name}_low_reliability", "low", node(number, reliability=49.5)),
+    ]
+
+
+def scan(sensor: int, **values: float) -> Provoke:
+    return lambda harness: harness.scans[sensor].update(values)
+
+
+def scan_cases(sensor: int, name: str, too_small: float) -> list[tuple[str, str, Provoke]]:
+    """All ways in which the scans of a sensor are not what they should be."""
+    return [
+        (f"{name}_timeout", "silent", lambda harness: harness.scans.pop(sensor) and None),
+        (f"{name}_timeout", "old", scan(sensor, sensor_sample_age=151)),
+        (f"{name}_low_rate", "slow", lambda harness: harness.scan_periods.update({sensor: 100_000})),
+        (f"{name}_wrong_size", "small", scan(sensor, sensor_data_size=too_small)),
+        (f"{name}_frozen", "sequence", lambda harness: harness.frozen_scans.add(sensor)),
+    ]
+
+
 CASES: list[tuple[str, str, Provoke]] = [
     ("parameter_write_late", "write", late_write),
     ("executive_overrun", "cost", cost(lib.OBC_TASK_STATUS, 11_000)),
@@ -164,17 +190,9 @@ CASES: list[tuple[str, str, Provoke]] = [
     ("gnss_a_wrong_size", "short", silent("gnss_a_attitude")),
     ("gnss_b_wrong_size", "short", silent("gnss_b_quality")),
     ("imu_wrong_size", "short", silent("imu_specific_force")),
-    *(
-        case
-        for number, name in ((0, "estimation"), (1, "planning"), (2, "wall"))
-        for case in (
-            *((f"{name}_not_ok", word, node(number, code=code)) for word, code in NOT_READY.items()),
-            *((f"{name}_failed", word, node(number, code=code)) for word, code in FAILED.items()),
-            (f"{name}_failed", "silent", node(number, silent=True)),
-            (f"{name}_stalled", "frozen", node(number, frozen=True)),
-            (f"{name}_low_reliability", "low", node(number, reliability=49.5)),
-        )
-    ),
+    *node_cases(0, "estimation"),
+    *node_cases(1, "planning"),
+    *node_cases(2, "wall"),
     ("estimate_degraded", "level", signal("estimate_quality", estimate_quality_level=2)),
     ("estimate_bad", "level", signal("estimate_quality", estimate_quality_level=1)),
     ("estimate_lost", "level", signal("estimate_quality", estimate_quality_level=0)),
@@ -239,13 +257,26 @@ CASES: list[tuple[str, str, Provoke]] = [
     ("wheel_speed_implausible", "spin", signal("wheel_speed_report", wheel_speed_FL=90.0, wheel_speed_FR=90.0)),
 ]
 
+#: Those of a car that has to see others, which a car that drives alone does not know.
+PERCEPTION_CASES = [
+    *scan_cases(3, "lidar", 19_999),
+    *scan_cases(4, "radar", 63),
+    ("radar_wrong_size", "large", scan(4, sensor_data_size=65)),
+    *node_cases(3, "lidar_detection"),
+    *node_cases(4, "radar_detection"),
+    *node_cases(5, "tracking"),
+    *node_cases(6, "prediction"),
+]
+OF_PERCEPTION = {name for name, _, _ in PERCEPTION_CASES}
+
 # Rejected files are in test_parameter_matrix; controllers without a state of their own are never not finite on finite
 # frames, so what follows if they are is proven in test_ssm_states.
 PROVEN_ELSEWHERE = {"parameters_rejected", "stanley_invalid", "pure_pursuit_invalid"}
 
 
 def test_no_fault_is_left_out() -> None:
-    assert {name for name, _, _ in CASES} | PROVEN_ELSEWHERE == set(FAULTS)
+    assert {name for name, _, _ in CASES} | OF_PERCEPTION | PROVEN_ELSEWHERE == set(FAULTS)
+    assert {name for name, fault in FAULTS.items() if "with perception_required" in fault.detection} == OF_PERCEPTION
 
 
 def test_everything_supervised_has_its_rows() -> None:
@@ -254,7 +285,13 @@ def test_everything_supervised_has_its_rows() -> None:
     assert sensors == {"gnss_a", "gnss_b", "imu"}
     kinds = ("timeout", "low_rate", "wrong_size", "frozen", "jump")
     assert {f"{sensor}_{kind}" for sensor in sensors for kind in kinds} <= set(FAULTS)
+    kinds = ("timeout", "low_rate", "wrong_size", "frozen")
+    scanners = database.message("sensor_notice").choices["sensor_id"]
+    assert sorted(scanners) == [lib.SCAN_FIRST_ID + number for number in range(lib.SCAN_COUNT)]
+    assert {f"{scanner.lower()}_{kind}" for scanner in scanners.values() for kind in kinds} <= set(FAULTS)
     names = database.message("node_status").choices["node_id"]
+    assert len(names) == lib.NODE_PERCEPTION
+    names = names | database.message("perception_status").choices["perception_id"]
     nodes = [names[number].lower() for number in range(lib.NODE_COUNT)]
     health = ("not_ok", "failed", "stalled", "low_reliability")
     assert {f"{node}_{kind}" for node in nodes for kind in health} <= set(FAULTS)
@@ -285,16 +322,46 @@ def left_by(active: set[int]) -> tuple[float, float]:
     )
 
 
-@pytest.mark.parametrize(("name", "provoke"), [pytest.param(n, p, id=f"{n}-{way}") for n, way, p in CASES])
-def test_fault(name: str, provoke: Provoke) -> None:
-    harness = ObcHarness()
+def driven(harness: ObcHarness) -> ObcHarness:
+    """At 20 m/s, with nothing wrong."""
     harness.plan_speed = 30.0
     harness.drive()
     harness.set_speed(20.0)
     harness.signals["pt_report_1"] |= {"current_gear": 2, "engine_speed_rpm": 5000}
     harness.run(30)
     assert (harness.state, harness.active_faults()) == (lib.SSM_NOMINAL, set())
+    return harness
 
+
+@pytest.mark.parametrize("provoke", [pytest.param(p, id=f"{n}-{way}") for n, way, p in PERCEPTION_CASES])
+def test_a_car_that_drives_alone_does_not_miss_perception(provoke: Provoke) -> None:
+    harness = ObcHarness(perception=True)
+    harness.operation = OPERATION
+    driven(harness)
+    provoke(harness)
+    for _ in range(250):
+        harness.tick()
+        assert harness.state == lib.SSM_NOMINAL
+        assert harness.active_faults() == set()
+
+
+def test_a_car_that_must_see_others_is_not_launched_blind() -> None:
+    harness = ObcHarness()
+    harness.operation = OPERATIONS / "perception.yaml"
+    harness.configure()
+    for _ in range(300):
+        harness.tick()
+        assert harness.state != lib.SSM_NOMINAL
+    names = {fault.id: name for name, fault in FAULTS.items()}
+    # Scans that do not come have not frozen.
+    assert {names[number] for number in harness.blocking()} == OF_PERCEPTION - {"lidar_frozen", "radar_frozen"}
+
+
+@pytest.mark.parametrize(
+    ("name", "provoke"), [pytest.param(n, p, id=f"{n}-{way}") for n, way, p in CASES + PERCEPTION_CASES]
+)
+def test_fault(name: str, provoke: Provoke) -> None:
+    harness = driven(ObcHarness(perception=name in OF_PERCEPTION))
     fault = FAULTS[name]
     harness.log.clear()
     provoke(harness)

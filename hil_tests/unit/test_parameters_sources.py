@@ -84,6 +84,15 @@ def test_shipped_operations_fit_the_json_schema(path: Path) -> None:
         jsonschema.validate({k: v for k, v in operation.items() if k != "max_speed"}, schema)
 
 
+def test_a_car_that_must_see_others_is_otherwise_that_of_the_solo_lap() -> None:
+    alone, among = (
+        load_operation(ROOT / "scenarios" / "operations" / f"{name}.yaml") for name in ("solo", "perception")
+    )
+    assert dict(alone)["perception_required"] is False
+    changed = [(key, True if key == "perception_required" else value) for key, value in alone]
+    assert among == changed
+
+
 def rewrite(folder: Path, source: Path, change: Callable[[dict[str, Any]], Any]) -> Path:
     content = yaml.safe_load(source.read_text())
     change(content)

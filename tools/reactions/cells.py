@@ -57,7 +57,7 @@ class Matrix:
         """Every cell that exists: those of one fault side by side."""
         for layer, provocations in self.provocations.items():
             for name, provocation in provocations.items():
-                if not provocation.plans:
+                if not self.provoker.suits(provocation):
                     continue
                 for state in OPERATING_STATES:
                     if state not in provocation.exceptions:
