@@ -10,6 +10,7 @@ from functools import cached_property
 import scenarios
 from bridge.faults.provocations import OPERATING_STATES, Duration, Provocation, Provoker, load_provocations
 from bridge.safety.track import TrackEdges
+from bridge.scenario import Scenario
 from dbc.codec import Codec, profile
 from firmware.tables import Fault, own_faults
 from tools.reactions.states import SCENARIO
@@ -36,6 +37,11 @@ class Cell:
 class Matrix:
     """All that the cells are made from.
 
+    Parameters
+    ----------
+    scenario : the run that the states are taken from; without perception it has the faults of a car that drives alone,
+        with perception those of perception alone.
+
     Attributes
     ----------
     provocations : by layer and name.
@@ -43,14 +49,16 @@ class Matrix:
     faults : the fault table, by name.
     """
 
-    database: Codec = field(default_factory=lambda: profile(SCENARIO.profile))
+    scenario: Scenario = SCENARIO
+    database: Codec = field(init=False)
     provocations: Mapping[str, Mapping[str, Provocation]] = field(init=False)
     provoker: Provoker = field(init=False)
     faults: Mapping[str, Fault] = field(init=False)
 
     def __post_init__(self) -> None:
+        self.database = profile(self.scenario.profile)
         self.provocations = load_provocations(PROVOCATIONS_FILE, self.database)
-        self.provoker = Provoker(SCENARIO.operation, self.database)
+        self.provoker = Provoker(self.scenario.operation, self.database)
         self.faults = {fault.name: fault for fault in own_faults()}
 
     def cells(self) -> Iterator[Cell]:
@@ -70,7 +78,7 @@ class Matrix:
     @cached_property
     def edges(self) -> TrackEdges:
         """Of the track that the states are on."""
-        return TrackEdges(*load_road(SCENARIO, SCENARIO.track).boundaries())
+        return TrackEdges(*load_road(self.scenario, self.scenario.track).boundaries())
 
     def share(self) -> frozenset[Cell]:
         """A cell of every fault, chosen at random and always the same, so that states and durations take turns."""

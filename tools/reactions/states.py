@@ -5,15 +5,23 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from functools import partial
 
+import scenarios
 from bridge._native import lib
 from bridge.condition import Condition
 from bridge.observed_bench import ObservedBench
 from bridge.saved_state import SavedState
-from bridge.scenario import Scenario
+from bridge.scenario import PerceptionMode, Scenario
 from dbc.states import CtState, TrackFlag
 from tools.run import chosen_scenario, load_road, make_autonomy
 
 SCENARIO = chosen_scenario("solo_lap", None)
+#: The same with a car that has perception and requires it.
+SEEING = replace(
+    SCENARIO,
+    perception=PerceptionMode.FULL,
+    radar=True,
+    operation=scenarios.DIRECTORY / "operations" / "perception.yaml",
+)
 
 #: Steps of race control in the solo lap up to the start of the engine, and up to pit-out: the car goes no farther.
 _ENGINE, _PIT_OUT = 2, 3
@@ -30,17 +38,19 @@ class OperatingStates:
 
     Parameters
     ----------
-    seed : of the scenario; None for its own.
+    of : the whole run that the states are taken from.
+    seed : in its place; None for its own.
     """
 
+    of: Scenario = SCENARIO
     seed: int | None = None
     _benches: dict[int, ObservedBench] = field(default_factory=dict)
     _saved: dict[str, tuple[ObservedBench, SavedState]] = field(default_factory=dict)
 
     @property
     def scenario(self) -> Scenario:
-        """The whole run that the states are taken from."""
-        return SCENARIO if self.seed is None else replace(SCENARIO, seed=self.seed)
+        """The whole run, with the seed."""
+        return self.of if self.seed is None else replace(self.of, seed=self.seed)
 
     def at(self, state: str) -> ObservedBench:
         """The bench in a state, as if it had just got there."""
