@@ -30,9 +30,8 @@ _ATTEMPTS = 3
 def _make(path: Path) -> None:
     """Make the file unless there is one; it has its name when it is complete."""
     with tempfile.NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}-") as file:
-        os.posix_fallocate(
-            file.fileno(), 0, lib.cloud_ring_size()
-        )  # a full disk shows now, not in the middle of the run
+        # A full disk shows now, not in the middle of the run.
+        os.posix_fallocate(file.fileno(), 0, lib.cloud_ring_size())
         with mmap.mmap(file.fileno(), 0) as memory, ffi.from_buffer("char[]", memory, require_writable=True) as ring:
             lib.cloud_ring_mark(ring)
         with suppress(FileExistsError):
