@@ -76,6 +76,9 @@ def level(imu: ImuSample, bank: float, grade: float) -> LevelMotion:
 class FilterTuning:
     """Noise of the filters.
 
+    A receiver states one deviation. Part of it is white from epoch to epoch, the rest a drift: a first-order
+    Gauss-Markov process, for a receiver's multipath and corrections change slowly.
+
     Attributes
     ----------
     acceleration_noise : m/s2 per sqrt(Hz), of the accelerometer with what bank compensation leaves.
@@ -83,26 +86,39 @@ class FilterTuning:
     acceleration_bias_noise : m/s2 per sqrt(s), wander of the bias.
     yaw_rate_bias_noise : rad/s per sqrt(s).
     start_acceleration_bias, start_yaw_rate_bias : 1 sigma at the start.
+    position_drift, yaw_drift : deviation of the drift over that which the receiver states, below 1.
+    drift_time_s : in which a drift forgets all but 1/e of itself, above 0.
+    other_solution : ratio of two stated deviations beyond which they are of different solutions, above 1.
     gate : Mahalanobis distance of an epoch beyond which it is not used (5 degrees of freedom).
     """
 
-    acceleration_noise: float = 0.03
-    yaw_rate_noise: float = 0.001
-    acceleration_bias_noise: float = 0.05
-    yaw_rate_bias_noise: float = 0.0005
-    start_acceleration_bias: float = 0.3
-    start_yaw_rate_bias: float = 0.01
+    acceleration_noise: float = 0.008
+    yaw_rate_noise: float = 0.0002
+    acceleration_bias_noise: float = 0.003
+    yaw_rate_bias_noise: float = 0.00003
+    start_acceleration_bias: float = 0.02
+    start_yaw_rate_bias: float = 0.0003
+    position_drift: float = 0.93
+    yaw_drift: float = 0.37
+    drift_time_s: float = 60.0
+    other_solution: float = 1.5
     gate: float = 5.0
 
 
 # Order of the error state.
-X, Y, VE, VN, YAW, BIAS_AX, BIAS_AY, BIAS_R = range(8)
-_STATES = 8
+X, Y, VE, VN, YAW, BIAS_AX, BIAS_AY, BIAS_R, DRIFT_X, DRIFT_Y, DRIFT_YAW = range(11)
+_STATES = 11
 _MEASUREMENTS = 5
+_DRIFTS = [DRIFT_X, DRIFT_Y, DRIFT_YAW]
+#: What the receiver measures with these drifts in it, in the same order.
+_DRIFTING = [X, Y, YAW]
 
 
 class GnssFilter:
     """Error-state Kalman filter of one receiver.
+
+    The nominal state takes each correction in, which leaves an error of mean 0; the drifts of the receiver have no
+    nominal state: their means stay in the filter.
 
     Attributes
     ----------
@@ -113,13 +129,19 @@ class GnssFilter:
 
     def __init__(self, tuning: FilterTuning) -> None:
         self._tuning = tuning
+        drift = np.array([tuning.position_drift, tuning.position_drift, 0.0, 0.0, tuning.yaw_drift])
+        self._white_share = 1.0 - drift**2
         # filterpy has no types; all of it stays behind this attribute.
         self._kalman: Any = KalmanFilter(dim_x=_STATES, dim_z=_MEASUREMENTS)
         self._kalman.H = np.eye(_MEASUREMENTS, _STATES)
+        self._kalman.H[_DRIFTING, _DRIFTS] = 1.0
         self._transition = np.eye(_STATES)
         self._process = np.zeros((_STATES, _STATES))
         self._noise = np.eye(_MEASUREMENTS)
         self._noise_of: tuple[float, ...] = ()
+        # Deviations of x, y and heading as stated for the solution in use, and the variances of its drifts.
+        self._solution: tuple[float, float, float] = (1.0, 1.0, 1.0)
+        self._drift_variance = np.zeros(3)
         self._reset_clock()
         self.started = False
         self.position_deviation = math.inf
@@ -143,9 +165,13 @@ class GnssFilter:
             t.start_acceleration_bias,
             t.start_acceleration_bias,
             t.start_yaw_rate_bias,
+            *(0.0, 0.0, 0.0),
         )
         self._kalman.x = np.zeros((_STATES, 1))
         self._kalman.P = np.diag(np.square(deviations))
+        self._draw_drifts(gnss)
+        # The drift of this epoch is in the place taken from it.
+        self._kalman.P[_DRIFTING, _DRIFTS] = self._kalman.P[_DRIFTS, _DRIFTING] = -self._drift_variance
         self._reset_clock()
         self._note_deviation()
         self.distance = 0.0
@@ -199,6 +225,10 @@ class GnssFilter:
         q[YAW, YAW] = t.yaw_rate_noise**2 * dt
         q[BIAS_AX, BIAS_AX] = q[BIAS_AY, BIAS_AY] = t.acceleration_bias_noise**2 * dt
         q[BIAS_R, BIAS_R] = t.yaw_rate_bias_noise**2 * dt
+        decay = math.exp(-dt / t.drift_time_s)
+        f[_DRIFTS, _DRIFTS] = decay
+        # In its stationary distribution a drift stays: what it forgets comes anew.
+        q[_DRIFTS, _DRIFTS] = (1.0 - decay * decay) * self._drift_variance
         self._kalman.predict(F=f, Q=q)
         self._note_deviation()
         self._reset_clock()
@@ -222,17 +252,19 @@ class GnssFilter:
         )
         deviations = (gnss.std_x, gnss.std_y, gnss.std_velocity, gnss.std_velocity, gnss.std_yaw)
         if deviations != self._noise_of:  # a receiver reports the same ones most of the time
-            self._noise, self._noise_of = np.diag(np.square(deviations)), deviations
+            self._noise, self._noise_of = np.diag(np.square(deviations) * self._white_share), deviations
+            if self._is_other_solution(gnss):
+                self._draw_drifts(gnss)
         kalman = self._kalman
-        prior = kalman.P
+        prior_x, prior = kalman.x, kalman.P
         kalman.update(innovation, R=self._noise)
         # The filter has inverted the innovation's covariance already; asking it first would cost that twice.
         self.distance = math.sqrt((kalman.y.T @ kalman.SI @ kalman.y).item())
         if not self.distance <= self._tuning.gate:
-            kalman.x, kalman.P = np.zeros((_STATES, 1)), prior
+            kalman.x, kalman.P = prior_x, prior
             return False
-        error = kalman.x[:, 0].tolist()
-        kalman.x = np.zeros((_STATES, 1))
+        error = kalman.x[:DRIFT_X, 0].tolist()
+        kalman.x[:DRIFT_X] = 0.0
         self.x += error[X]
         self.y += error[Y]
         self.velocity_east += error[VE]
@@ -255,8 +287,30 @@ class GnssFilter:
 
     @property
     def covariance(self) -> FloatArray:
-        """Covariance of the error state at the last propagation, shape (8, 8)."""
+        """Covariance of the error state at the last propagation, shape (11, 11)."""
         return np.asarray(self._kalman.P)
+
+    @property
+    def drifts(self) -> FloatArray:
+        """Drifts of the receiver in x, y (m) and heading (rad), shape (3,)."""
+        return np.asarray(self._kalman.x[_DRIFTS, 0])
+
+    def _is_other_solution(self, gnss: GnssSample) -> bool:
+        """Whether the receiver states quite other deviations than for the solution in use."""
+        stated = (gnss.std_x, gnss.std_y, gnss.std_yaw)
+        return any(
+            max(new, old) > self._tuning.other_solution * min(new, old)
+            for new, old in zip(stated, self._solution, strict=True)
+        )
+
+    def _draw_drifts(self, gnss: GnssSample) -> None:
+        """Begin with the solution of an epoch: its drifts owe nothing to those of the one before."""
+        t, kalman = self._tuning, self._kalman
+        self._solution = gnss.std_x, gnss.std_y, gnss.std_yaw
+        self._drift_variance = np.square((t.position_drift, t.position_drift, t.yaw_drift)) * np.square(self._solution)
+        kalman.x[_DRIFTS] = 0.0
+        kalman.P[_DRIFTS] = kalman.P[:, _DRIFTS] = 0.0
+        kalman.P[_DRIFTS, _DRIFTS] = self._drift_variance
 
     def _note_deviation(self) -> None:
         covariance = self._kalman.P

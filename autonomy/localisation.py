@@ -42,7 +42,7 @@ class QualityLimits:
     switch_margin: float = 1.5  # of the distances, to leave a filter of the same level
     switch_dwell_us: int = 1_000_000  # for which the margin must hold
     restart_us: int = 1_000_000  # a filter that has used no epoch for so long starts again from its receiver
-    jump: float = 0.15  # m; a correction beyond it fades in as a switch does
+    jump: float = 0.05  # m; a correction beyond it fades in as a switch does
     settle_s: float = 0.7  # time constant of fading
 
 
@@ -57,7 +57,7 @@ class Estimate(NamedTuple):
     source : 1 GNSS A, 2 GNSS B.
     quality : level of the filter in use.
     distance_a, distance_b : smoothed Mahalanobis distances; infinite while a receiver is not there.
-    deviation : 1 sigma of the position, m.
+    deviation : 1 sigma of the worse coordinate of the position, m, the drift of the receiver with it.
     """
 
     x: float
@@ -85,7 +85,7 @@ class _Receiver:
         self.filter = GnssFilter(tuning)
         self._limits = limits
         self.distance = math.inf
-        self.reported_deviation = math.inf
+        self._stated_deviation = math.inf
         self._used_us = 0
         self.quality = Quality.LOST
 
@@ -105,33 +105,26 @@ class _Receiver:
             if self.filter.update(gnss):
                 self._used_us = now_us
             self.distance += self.SMOOTHING * (min(self.filter.distance, self.LARGEST_DISTANCE) - self.distance)
-        self.reported_deviation = max(gnss.std_x, gnss.std_y)
+        self._stated_deviation = max(gnss.std_x, gnss.std_y)
 
     def judge(self, now_us: int) -> None:
         limits = self._limits
         age = now_us - self._used_us
+        # The filter's is true, but a receiver that calls itself bad is not good while the filter still knows better.
+        deviation = max(self.filter.position_deviation, self._stated_deviation)
         if not self.filter.started or age > limits.bad_age_us:
             self.quality = Quality.LOST
             self.distance = math.inf
-        elif (
-            age <= limits.good_age_us
-            and self.distance <= limits.good_distance
-            and self.deviation() <= limits.good_deviation
-        ):
+        elif age <= limits.good_age_us and self.distance <= limits.good_distance and deviation <= limits.good_deviation:
             self.quality = Quality.GOOD
         elif (
             age <= limits.degraded_age_us
             and self.distance <= limits.degraded_distance
-            and self.deviation() <= limits.degraded_deviation
+            and deviation <= limits.degraded_deviation
         ):
             self.quality = Quality.DEGRADED
         else:
             self.quality = Quality.BAD
-
-    def deviation(self) -> float:
-        """Return 1 sigma of the position, m."""
-        # The errors of a receiver drift together: averaging its epochs does not beat what it reports.
-        return max(self.filter.position_deviation, self.reported_deviation)
 
 
 class Localiser:
@@ -244,13 +237,13 @@ class Localiser:
             return min(mine.quality, Quality.BAD)
         if mine.quality == Quality.GOOD and other.quality == Quality.GOOD:
             apart = math.hypot(mine.filter.x - other.filter.x, mine.filter.y - other.filter.y)
-            if apart > self._limits.agreement * math.hypot(mine.deviation(), other.deviation()):
+            deviations = mine.filter.position_deviation, other.filter.position_deviation
+            if apart > self._limits.agreement * math.hypot(*deviations):
                 return Quality.DEGRADED
         return mine.quality
 
     def _estimate(self, now_us: int) -> Estimate:
-        chosen = self._receivers[self._active]
-        f = chosen.filter
+        f = self._receivers[self._active].filter
         x, y, east, north, yaw = self._state()
         cos, sin = math.cos(yaw), math.sin(yaw)
         return Estimate(
@@ -266,5 +259,5 @@ class Localiser:
             quality=self._quality(now_us),
             distance_a=self._receivers[0].distance,
             distance_b=self._receivers[1].distance,
-            deviation=chosen.deviation(),
+            deviation=f.position_deviation,
         )

@@ -1,7 +1,7 @@
-"""A lap on paper for `tools.estimation_bench`: motion in closed form, and what sensors say of it.
+"""Laps for `tools.estimation_bench`, on paper and of the bench's car, and what sensors say of them.
 
-The car goes round an ellipse, x = a cos wt and y = b sin wt: it brakes into both turns and accelerates out of them,
-and position, velocity, acceleration and turn rate are exact at any time.
+On paper the car goes round an ellipse, x = a cos wt and y = b sin wt: it brakes into both turns and accelerates out of
+them, and position, velocity, acceleration and turn rate are exact at any time. The bench's car drives the solo lap.
 """
 
 from __future__ import annotations
@@ -17,9 +17,11 @@ from autonomy.estimation import GRAVITY, FilterTuning, GnssSample, ImuSample
 from autonomy.frenet import FloatArray
 from autonomy.messages import Inbox
 from autonomy.track import Origin
+from bridge.scenario import load_scenario
 from bridge.sensors.gnss import ERRORS_A
 from bridge.sensors.suite import SensorSuite
 from bridge.sensors.truth import Truth
+from tools.run import DEFAULT_SCENARIO, build_bench, load_road
 
 TICK_US = 10_000
 TICK_S = TICK_US * 1.0e-6
@@ -31,6 +33,9 @@ LAP_S = 48.0
 BANK_TURN, BANK_STRAIGHT = math.radians(20.0), math.radians(9.0)
 SLIP = 0.02  # rad, of the heading inwards of the course
 ORIGIN = Origin(36.272, -115.010, 605.0)
+
+#: The solo lap is looked at from here on: at racing speed, until after the second flying lap.
+RACING_US = 60_000_000
 
 Road = Callable[[float, float], tuple[float, float]]
 
@@ -58,6 +63,21 @@ class Motion:
     acceleration: FloatArray
     yaw_rate: FloatArray
     bank: FloatArray
+
+
+class Course(NamedTuple):
+    """A drive as the bench's sensors sense it, tick by tick, and what it is judged by.
+
+    Attributes
+    ----------
+    state : shape (n, 5), as in `Motion`.
+    truths : n of them. road : as the map has it. origin : of the track frame.
+    """
+
+    state: FloatArray
+    truths: Sequence[Truth]
+    road: Road
+    origin: Origin
 
 
 def road(x: float, y: float) -> tuple[float, float]:  # noqa: ARG001
@@ -95,17 +115,18 @@ def assumed_sensors(
 ) -> tuple[list[Tick], FloatArray]:
     """Samples of sensors that are what the filter assumes: white noise, and biases as random walks.
 
-    The receiver has the deviations that receiver A states, all of them white.
+    The receiver has the deviations that receiver A states, the share of drift in them is the tuning's.
 
     Parameters
     ----------
-    motion : to sense. tuning : intensities of the IMU's noise and biases.
+    motion : to sense. tuning : noise of the IMU and its biases, drift of the receiver.
     louder : the receiver's noise by what it states.
 
     Returns
     -------
     ticks : with epochs of one receiver, A.
-    biases : shape (n, 3), true biases of acceleration along and across, m/s2, and yaw rate, rad/s.
+    hidden : shape (n, 6), true biases of acceleration along and across, m/s2, and yaw rate, rad/s, and true drifts of
+        the receiver in x and y, m, and heading, rad.
     """
     count = len(motion.state)
     walk = np.array([tuning.acceleration_bias_noise] * 2 + [tuning.yaw_rate_bias_noise]) * math.sqrt(TICK_S)
@@ -123,18 +144,56 @@ def assumed_sensors(
     )
     place_x, place_y, velocity, yaw = deviations
     scatter = louder * np.array([place_x, place_y, velocity, velocity, yaw])
-    epochs = motion.state + scatter * generator.standard_normal((count, 5))
+    share = np.array([tuning.position_drift, tuning.position_drift, 0.0, 0.0, tuning.yaw_drift])
+    drifts = scatter * share * _markov(generator.standard_normal((count, 5)), math.exp(-TICK_S / tuning.drift_time_s))
+    epochs = motion.state + drifts + scatter * np.sqrt(1.0 - share**2) * generator.standard_normal((count, 5))
     ticks = []
     for k, (imu, epoch) in enumerate(zip(_imu(sensed, motion.bank), epochs.tolist(), strict=True)):
         ticks.append(Tick(imu, GnssSample._make((*epoch, *deviations)) if k % EPOCH_TICKS == 0 else None, None))
-    return ticks, biases
+    return ticks, np.column_stack((biases, drifts[:, [0, 1, 4]]))
 
 
-def bench_sensors(motion: Motion, seed: int) -> list[Tick]:
+def _markov(noise: FloatArray, decay: float) -> FloatArray:
+    """Stationary Gauss-Markov processes of deviation 1 out of white noise, shape (n, k)."""
+    process = noise.copy()
+    renewed = math.sqrt(1.0 - decay**2)
+    for k in range(1, len(process)):
+        process[k] = decay * process[k - 1] + renewed * noise[k]
+    return process
+
+
+def on_paper(seconds: float) -> Course:
+    """The ellipse, as `drive` has it."""
+    motion = drive(seconds)
+    return Course(motion.state, truths(motion), road, ORIGIN)
+
+
+def solo_lap(seconds: float) -> Course:
+    """The solo lap as the plant drives it from `RACING_US` on, with the track's map: neither is the filter's model."""
+    scenario = load_scenario(DEFAULT_SCENARIO)
+    track = load_road(scenario, scenario.track)
+    assert track.origin is not None
+    sensed = []
+    with build_bench(scenario) as bench:
+        while bench.now_us <= RACING_US + seconds * 1_000_000:
+            if bench.now_us >= RACING_US:
+                sensed.append(bench.truth)
+            bench.tick()
+    return Course(np.array([plane_state(truth) for truth in sensed]), sensed, track.road_at, track.origin)
+
+
+def plane_state(truth: Truth) -> tuple[float, float, float, float, float]:
+    """Motion in plan view, as the rows of `Motion.state`: velocity out of the road's plane."""
+    cos, sin = math.cos(truth.yaw), math.sin(truth.yaw)
+    along, across = truth.vx * math.cos(truth.road_pitch), truth.vy * math.cos(truth.road_roll)
+    return truth.x, truth.y, along * cos - across * sin, along * sin + across * cos, truth.yaw
+
+
+def bench_sensors(course: Course, seed: int) -> list[Tick]:
     """Samples of the bench's own sensors, through their frames: drift, coloured noise, resolution of the wire."""
-    suite, inbox = SensorSuite(ORIGIN, seed), Inbox(ORIGIN.tangent_plane())
+    suite, inbox = SensorSuite(course.origin, seed), Inbox(course.origin.tangent_plane())
     ticks = []
-    for k, truth in enumerate(truths(motion)):
+    for k, truth in enumerate(course.truths):
         inbox.push(suite.emit(k * TICK_US, truth))
         imu = inbox.imu()
         assert imu is not None

@@ -10,6 +10,9 @@ from autonomy.estimation import (
     BIAS_AX,
     BIAS_AY,
     BIAS_R,
+    DRIFT_X,
+    DRIFT_Y,
+    DRIFT_YAW,
     GRAVITY,
     VE,
     VN,
@@ -54,14 +57,23 @@ class Truth:
         self.ay = self.v * self.rate
 
 
-def epoch(truth, rng, std=(0.05, 0.05, 0.03, 0.003)):
+STATED = (0.05, 0.05, 0.03, 0.003)
+SHARE = np.array([FilterTuning.position_drift, FilterTuning.position_drift, FilterTuning.yaw_drift])
+DRIFTS = SHARE * np.array([0.05, 0.05, 0.003])
+DECAY = math.exp(-EPOCH * DT / FilterTuning.drift_time_s)
+
+
+def epoch(truth, rng, std=STATED, drifts=(0.0, 0.0, 0.0)):
+    """One epoch with white noise of the shares that are white, and these drifts."""
     sx, sy, sv, syaw = std
+    white_x, white_y, white_yaw = np.sqrt(1.0 - SHARE**2) * (sx, sy, syaw)
+    drift_x, drift_y, drift_yaw = drifts
     return GnssSample(
-        truth.x + rng.normal(0, sx),
-        truth.y + rng.normal(0, sy),
+        truth.x + drift_x + rng.normal(0, white_x),
+        truth.y + drift_y + rng.normal(0, white_y),
         truth.v * math.cos(truth.yaw) + rng.normal(0, sv),
         truth.v * math.sin(truth.yaw) + rng.normal(0, sv),
-        math.remainder(truth.yaw + rng.normal(0, syaw), math.tau),
+        math.remainder(truth.yaw + drift_yaw + rng.normal(0, white_yaw), math.tau),
         sx,
         sy,
         sv,
@@ -69,7 +81,7 @@ def epoch(truth, rng, std=(0.05, 0.05, 0.03, 0.003)):
     )
 
 
-def state_error(f, truth, biases):
+def state_error(f, truth, biases, drifts):
     return np.array(
         [
             truth.x - f.x,
@@ -80,6 +92,7 @@ def state_error(f, truth, biases):
             biases[0] - f.bias_ax,
             biases[1] - f.bias_ay,
             biases[2] - f.bias_yaw_rate,
+            *(drifts - f.drifts),
         ]
     )
 
@@ -92,7 +105,8 @@ def run(seed, epochs=120):
     bias = rng.normal(0.0, [tuning.start_acceleration_bias, tuning.start_acceleration_bias, tuning.start_yaw_rate_bias])
     walk = np.array([tuning.acceleration_bias_noise, tuning.acceleration_bias_noise, tuning.yaw_rate_bias_noise])
     white = np.array([tuning.acceleration_noise, tuning.acceleration_noise, tuning.yaw_rate_noise]) / math.sqrt(DT)
-    f.start(epoch(truth, rng))
+    drifts = rng.normal(0.0, DRIFTS)
+    f.start(epoch(truth, rng, drifts=drifts))
     f.ax, f.ay, f.yaw_rate = truth.ax, truth.ay, truth.rate
     nees, nis = [], []
     for k in range(1, epochs * EPOCH + 1):
@@ -101,8 +115,9 @@ def run(seed, epochs=120):
         noise = rng.normal(0.0, white)
         f.predict(LevelMotion(*(np.array([truth.ax, truth.ay, truth.rate]) + bias + noise)), DT)
         if k % EPOCH == 0:
-            assert f.update(epoch(truth, rng))
-            error = state_error(f, truth, bias)
+            drifts = DECAY * drifts + math.sqrt(1.0 - DECAY**2) * rng.normal(0.0, DRIFTS)
+            assert f.update(epoch(truth, rng, drifts=drifts))
+            error = state_error(f, truth, bias, drifts)
             nees.append(float(error @ np.linalg.solve(f.covariance, error)))
             nis.append(f.distance**2)
     return np.array(nees), np.array(nis)
@@ -116,7 +131,7 @@ def test_errors_and_innovations_are_consistent_over_seeded_runs():
     runs = len(seeds)
     # At one time the runs are independent: the sum over them has chi-square statistics.
     for k in (20, 60, 119):
-        low, high = chi2.ppf([0.0005, 0.9995], 8 * runs) / runs
+        low, high = chi2.ppf([0.0005, 0.9995], 11 * runs) / runs
         assert low < nees[:, k].mean() < high
     low, high = chi2.ppf([0.0005, 0.9995], 5 * nis.size) / nis.size
     # The trapezoid over noisy samples halves their shortest waves, so innovations are a little smaller than white.
@@ -148,7 +163,8 @@ def test_it_matches_an_own_kalman_filter():
     c, s = math.cos(yaw), math.sin(yaw)
     first = GnssSample(0.0, 0.0, 20.0 * c, 20.0 * s, yaw, 0.05, 0.05, 0.03, 1e-6)
     f.start(first)
-    state = np.array([0.0, 0.0, 20.0 * c, 20.0 * s, 0.0, 0.0, 0.0, 0.0])
+    state = np.array([0.0, 0.0, 20.0 * c, 20.0 * s, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    drift = SHARE * (0.05, 0.05, 1e-6)
     p = (
         np.diag(
             [
@@ -160,24 +176,29 @@ def test_it_matches_an_own_kalman_filter():
                 tuning.start_acceleration_bias,
                 tuning.start_acceleration_bias,
                 tuning.start_yaw_rate_bias,
+                *drift,
             ]
         )
         ** 2
     )
-    transition = np.eye(8)
+    transition, h = np.eye(11), np.eye(5, 11)
+    for k, (measured, its_drift) in enumerate(((X, DRIFT_X), (Y, DRIFT_Y), (YAW, DRIFT_YAW))):
+        p[measured, its_drift] = p[its_drift, measured] = -(drift[k] ** 2)
+        transition[its_drift, its_drift] = DECAY
+        h[measured, its_drift] = 1.0
     transition[X, VE] = transition[Y, VN] = dt
     for row, half in ((VE, 1.0), (X, 0.5 * dt)):
         transition[row, BIAS_AX], transition[row, BIAS_AY] = -dt * c * half, dt * s * half
     for row, half in ((VN, 1.0), (Y, 0.5 * dt)):
         transition[row, BIAS_AX], transition[row, BIAS_AY] = -dt * s * half, -dt * c * half
     transition[YAW, BIAS_R] = -dt
-    q = np.zeros((8, 8))
+    q = np.zeros((11, 11))
+    q[DRIFT_X:, DRIFT_X:] = np.diag((1.0 - DECAY**2) * drift**2)
     for a, b in ((X, VE), (Y, VN)):
         q[np.ix_([a, b], [a, b])] = tuning.acceleration_noise**2 * np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
     q[YAW, YAW] = tuning.yaw_rate_noise**2 * dt
     q[BIAS_AX, BIAS_AX] = q[BIAS_AY, BIAS_AY] = tuning.acceleration_bias_noise**2 * dt
     q[BIAS_R, BIAS_R] = tuning.yaw_rate_bias_noise**2 * dt
-    h = np.eye(5, 8)
     for k in range(1, 40):
         for _ in range(EPOCH):
             f.predict(LevelMotion(0.0, 0.0, 0.0), DT)
@@ -185,11 +206,12 @@ def test_it_matches_an_own_kalman_filter():
         # Exact heading with next to no noise keeps the problem linear.
         z = np.array([20.0 * c * k * dt, 20.0 * s * k * dt, 20.0 * c, 20.0 * s, 0.0])
         z[:4] += rng.normal(0.0, [0.05, 0.05, 0.03, 0.03])
-        r = np.diag([0.05, 0.05, 0.03, 0.03, 1e-6]) ** 2
+        r = np.diag([*(0.05, 0.05), *(0.03, 0.03), 1e-6]) ** 2 * (1.0 - np.array([*SHARE[:2], 0.0, 0.0, SHARE[2]]) ** 2)
         gain = p @ h.T @ np.linalg.inv(h @ p @ h.T + r)
-        state, p = state + gain @ (z - h @ state), (np.eye(8) - gain @ h) @ p
+        state, p = state + gain @ (z - h @ state), (np.eye(11) - gain @ h) @ p
         f.update(GnssSample(z[0], z[1], z[2], z[3], yaw, 0.05, 0.05, 0.03, 1e-6))
         got = [f.x, f.y, f.velocity_east, f.velocity_north, f.yaw - yaw, f.bias_ax, f.bias_ay, f.bias_yaw_rate]
+        got += f.drifts.tolist()
         np.testing.assert_allclose(got, state, atol=2e-6)
         np.testing.assert_allclose(f.covariance, p, rtol=1e-4, atol=1e-8)  # the estimated bias bends the line a little
 
@@ -243,7 +265,68 @@ def test_a_spike_is_gated_and_changes_nothing():
     assert not f.update(good._replace(x=5.0))
     assert (f.x, f.y, f.velocity_east, f.yaw) == before
     assert f.distance > 30.0
+    assert not f.update(good._replace(x=0.7))  # 0.2 m: a drift does not step, and white is little
     assert f.update(good._replace(x=0.5))
+
+
+def settled(seconds=30.0, drift=0.05):
+    """A filter of a car that stands, and whose receiver has had a drift for so long."""
+    f, standing = GnssFilter(FilterTuning()), GnssSample(drift, 0.0, 0.0, 0.0, 0.0, 0.05, 0.05, 0.03, 0.002)
+    f.start(standing)
+    carry_on(f, standing, seconds)
+    return f, standing
+
+
+def carry_on(f, gnss, seconds):
+    """Refused epochs of a car that stands, all of them alike."""
+    refused = 0
+    for k in range(1, round(seconds / DT) + 1):
+        f.predict(LevelMotion(0.0, 0.0, 0.0), DT)
+        if k % EPOCH == 0:
+            refused += not f.update(gnss)
+    return refused
+
+
+def test_a_drift_is_not_averaged_away():
+    f, _ = settled()
+    assert 0.7 * DRIFTS[0] < f.position_deviation < 0.05
+    independent = GnssFilter(FilterTuning(position_drift=0.0, yaw_drift=0.0))
+    start = GnssSample(0.0, 0.0, 0.0, 0.0, 0.0, 0.05, 0.05, 0.03, 0.002)
+    independent.start(start)
+    carry_on(independent, start, 30.0)
+    assert independent.position_deviation < 0.3 * f.position_deviation
+
+
+def test_another_solution_has_another_drift():
+    """From fixed to float: the place steps by decimetres, in keeping with the new deviation; and back."""
+    f, fixed = settled()
+    x, deviation = f.x, f.position_deviation
+    float_solution = fixed._replace(x=0.45, std_x=0.5, std_y=0.5)
+    assert carry_on(f, float_solution, 5.0) == 0
+    assert f.x == pytest.approx(x, abs=0.03)
+    assert f.drifts[0] == pytest.approx(0.45 - f.x, abs=0.1)
+    # No epoch of it tells much, and standing for five seconds costs little.
+    assert 0.9 * deviation < f.position_deviation < 2.0 * deviation
+    assert carry_on(f, fixed, 5.0) == 0
+    assert f.x == pytest.approx(x, abs=0.03)
+    assert 0.5 * deviation < f.position_deviation < 0.05
+    # Without the deviation the step is refused.
+    f, fixed = settled()
+    assert not f.update(fixed._replace(x=0.45))
+
+
+def test_a_stated_deviation_that_jitters_is_of_one_solution():
+    """Else each change would make the drift a new one, and the average of them all would count as the place."""
+    rng = np.random.default_rng(6)
+    f, standing = settled(1.0)
+    jittering = standing
+    for _ in range(600):
+        for _ in range(EPOCH):
+            f.predict(LevelMotion(0.0, 0.0, 0.0), DT)
+        jittering = standing._replace(std_x=0.05 * rng.uniform(0.85, 1.15), std_y=0.05 * rng.uniform(0.85, 1.15))
+        assert f.update(jittering)
+    steady, _ = settled(31.0)
+    assert f.position_deviation == pytest.approx(steady.position_deviation, rel=0.1)
 
 
 def attitude(bank, grade):
