@@ -33,19 +33,24 @@ def imu_sample():
 
 
 class Rig:
-    """A car on a banked circle with both receivers; faults are functions from time to a changed sample or None."""
+    """A car on a banked circle with both receivers; faults are functions from time to a changed sample or None.
 
-    def __init__(self, fault_a=None, fault_b=None, imu=True, seed=SEED, limits=None):
+    Of what the receivers state, `drift` is the share that drifts; `road` is the map's.
+    """
+
+    def __init__(
+        self, fault_a=None, fault_b=None, imu=True, seed=SEED, limits=None, drift=DRIFT, road=lambda *_: (BANK, 0.0)
+    ):
         print("seed", seed)
         generator = np.random.default_rng(seed)
         stated = [np.array([std, std, STD_VELOCITY, STD_VELOCITY, STD_YAW]) for std in DEVIATIONS]
         self.noises = [
-            DriftingNoise(generator, std * np.sqrt(1.0 - DRIFT**2), std * DRIFT, FilterTuning.drift_time_s, 0.05)
+            DriftingNoise(generator, std * np.sqrt(1.0 - drift**2), std * drift, FilterTuning.drift_time_s, 0.05)
             for std in stated
         ]
         self.faults = (fault_a, fault_b)
         self.imu = imu if callable(imu) else lambda _: imu
-        self.localiser = Localiser(lambda *_: (BANK, 0.0), limits=limits)
+        self.localiser = Localiser(road, limits=limits)
         self.tick = 0
 
     def sample(self, t, std, noise, fault):
@@ -114,6 +119,32 @@ def test_undisturbed_it_is_accurate_and_good():
     assert last.yaw_rate == pytest.approx(SPEED / RADIUS, abs=0.005)
     # White noise: the mean of a chi distribution with five degrees of freedom is 2.13.
     assert np.mean([h[1].distance_a for h in settled]) == pytest.approx(2.1, abs=0.3)
+
+
+def test_a_receiver_that_scatters_where_it_should_drift_is_not_good():
+    history = list(Rig(drift=np.zeros(5)).run(20.0))
+    qualities = [h[1].quality for h in history[300:]]
+    assert qualities.count(Quality.DEGRADED) > 0.5 * len(qualities)
+    assert min(qualities) is Quality.DEGRADED
+
+
+def wrong_bank(degrees, metres):
+    """A map whose bank is wrong by a sine along the road; the same everywhere with an infinite wavelength."""
+
+    def road(x, y):
+        phase = math.pi / 2 + math.tau * RADIUS * math.atan2(y, x) / metres
+        return BANK + math.radians(degrees) * math.sin(phase), 0.0
+
+    return road
+
+
+@pytest.mark.parametrize(
+    ("degrees", "metres", "least"),
+    [(1.0, math.inf, Quality.GOOD), (0.3, 377.0, Quality.GOOD), (1.0, 377.0, Quality.BAD)],
+)
+def test_a_wrong_bank_of_the_map_is_a_bias_where_it_stays_and_is_seen_where_it_swings(degrees, metres, least):
+    history = list(Rig(road=wrong_bank(degrees, metres)).run(20.0))
+    assert min(h[1].quality for h in history[300:]) is least
 
 
 @pytest.mark.parametrize(("which", "keeps"), [("a", 2), ("b", 1)])
