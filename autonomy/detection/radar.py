@@ -218,21 +218,25 @@ class RadarDetector:
         off_std = np.hypot(math.hypot(config.rate_std, config.speed_std), across * angle_std)
         stationary = off <= np.maximum(config.stationary_gate * off_std, config.stationary_speed)
 
-        objects = no_objects(len(tracks))
-        objects["range"], objects["range_rate"], objects["ground_rate"] = distance, rate, over_ground
+        verdicts = np.select(
+            [~finite, confidence <= 0.0, ~plausible, stationary],
+            [Verdict.NOT_FINITE, Verdict.NOT_MEASURED, Verdict.IMPLAUSIBLE, Verdict.STATIONARY],
+            Verdict.KEPT,
+        ).astype(np.uint8)
+        (moving,) = np.nonzero(verdicts == Verdict.KEPT)
+        rate = rate[moving]
+        objects = no_objects(len(moving))
+        objects["range"], objects["range_rate"], objects["ground_rate"] = distance[moving], rate, over_ground[moving]
         # Of a rate at the end of the scale nothing is known but that it may be more.
         saturated = (rate <= slowest) | (rate >= fastest)
         objects["rate_std"] = np.where(saturated, np.inf, config.rate_std)
         objects["length"], objects["width"] = config.shape.length, config.shape.width
-        objects["confidence"], objects["sensors"], objects["radar_track"] = confidence, Sensor.RADAR, tracks["id"]
-        self._place(objects, distance, angle, angle_std, motion.pose)
+        objects["confidence"], objects["sensors"] = confidence[moving], Sensor.RADAR
+        objects["radar_track"] = tracks["id"][moving]
+        self._place(objects, distance[moving], angle[moving], angle_std[moving], motion.pose)
         inside = self._inside(objects, motion.pose)
-        verdicts = np.select(
-            [~finite, confidence <= 0.0, ~plausible, stationary, ~inside],
-            [Verdict.NOT_FINITE, Verdict.NOT_MEASURED, Verdict.IMPLAUSIBLE, Verdict.STATIONARY, Verdict.OUTSIDE],
-            Verdict.KEPT,
-        ).astype(np.uint8)
-        kept = objects[verdicts == Verdict.KEPT]
+        verdicts[moving[~inside]] = Verdict.OUTSIDE
+        kept = objects[inside]
         return kept[np.argsort(kept["range"], kind="stable")], verdicts
 
     def _place(

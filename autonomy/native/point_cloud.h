@@ -5,7 +5,7 @@
 #include <stdint.h>
 
 enum {
-    CLOUD_POINTS_MAX = 65536, /* of one scan, all LiDARs together */
+    CLOUD_POINTS_MAX = 98304, /* of one scan, all LiDARs together */
     CLOUD_RANGE_M = 128,      /* what lies farther off in x, y or z is not looked at */
 };
 

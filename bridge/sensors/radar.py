@@ -24,7 +24,7 @@ from bridge.sensors.truth import Truth
 from dbc.radar_tracks import TRACK_DTYPE, TRACKS, RangeMode, Tracks, TrackStatus, on_wire, track_frames, wire_limits
 
 PERIOD_US = 50_000
-#: The tick of a scan lies between those of GNSS and LiDAR.
+#: A scan's frames are on their way for up to 17.3 ms: they are there when the LiDARs' scan ends.
 PHASE_US = 20_000
 #: Ahead of the middle of the rear axle, m (AWSIM's model of the AV-21, urdf).
 MOUNT_X = 1.784
@@ -178,11 +178,16 @@ class Tracker:
         kept : who may be kept without a detection; others are out of sight.
         """
         found = {key: row for row, key in enumerate(detections.keys) if key is not None}
-        for number, slot in list(self._slots.items()):
+        missed = []
+        for number, slot in self._slots.items():
             row = None if slot.key is None else found.pop(slot.key, None)
-            if row is not None:
+            if row is None:
+                missed.append(number)
+            else:
                 slot.values, slot.hits, slot.misses = detections.tracks[row : row + 1], slot.hits + 1, 0
-            elif slot.key is None or slot.key not in kept or slot.misses == self._errors.coast or not self._coast(slot):
+        coasting = self._coast(missed, kept)
+        for number in missed:
+            if number not in coasting:
                 del self._slots[number]
                 self._free.append(number)
         for row, key in enumerate(detections.keys):
@@ -201,13 +206,20 @@ class Tracker:
         """Of the newest scan; 0 before the first."""
         return self._scans % 2
 
-    def _coast(self, slot: _Slot) -> bool:
-        """Move a track on by its range rate; whether it is still in view."""
-        slot.misses += 1
-        moved = slot.values.copy()
+    def _coast(self, missed: Sequence[int], kept: set[Key]) -> set[int]:
+        """Move tracks without a detection on by their range rates; those that are still in view."""
+        on = [(number, self._slots[number]) for number in missed]
+        on = [(n, slot) for n, slot in on if slot.key in kept and slot.misses < self._errors.coast]
+        if not on:
+            return set()
+        moved = np.concatenate([slot.values for _, slot in on])
         moved["range"] += moved["range_rate"] * PERIOD_US * 1e-6
-        slot.values = on_wire(moved)
-        return bool(coverage(self._errors, slot.values["range"], slot.values["angle"]).all())
+        moved = on_wire(moved)
+        seen = coverage(self._errors, moved["range"], moved["angle"]) != RangeMode.NONE
+        for row, (_, slot) in enumerate(on):
+            slot.misses += 1
+            slot.values = moved[row : row + 1]
+        return {number for (number, _), in_view in zip(on, seen.tolist(), strict=True) if in_view}
 
     def _status(self, slot: _Slot) -> TrackStatus:
         if slot.misses:
@@ -346,8 +358,8 @@ def false_alarms(errors: RadarErrors, generator: np.random.Generator) -> Detecti
         tracks["range"] = errors.range_min + draws[0] * (scan.reach - errors.range_min)
         tracks["angle"] = (2.0 * draws[1] - 1.0) * scan.half_angle
         tracks["range_rate"] = slowest + draws[2] * (fastest - slowest)
-        found.append(on_wire(tracks))
-    tracks = np.concatenate(found)
+        found.append(tracks)
+    tracks = on_wire(np.concatenate(found))
     tracks["mode"] = coverage(errors, tracks["range"], tracks["angle"])
     return Detections([None] * len(tracks), tracks)
 

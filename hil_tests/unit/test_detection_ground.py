@@ -222,7 +222,7 @@ def test_a_full_cloud_passes_and_a_fuller_one_is_refused(ground_filter):
         ({"cell_size": 0.4}, "must be 0.5 to 128 m"),
         ({"cell_size": math.nan}, "must be 0.5 to 128 m"),
         ({"points_threshold": -1}, "must be 0 to"),
-        ({"foot_points": 65537}, "must be 0 to"),
+        ({"foot_points": POINTS_MAX + 1}, "must be 0 to"),
         ({"height_threshold": 0.0}, "must be above 0"),
         ({"slope_max_deg": 90.0}, "must be 0 to 80"),
     ],

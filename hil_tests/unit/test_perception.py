@@ -135,7 +135,7 @@ BAD_SCANS = {
     "wrong shape": (np.ones((4, 2), np.float32), DetectionStatus.BAD_SHAPE),
     "no ages": (np.ones((4, 3), np.float32), DetectionStatus.BAD_SHAPE),
     "not an array": ("cloud", DetectionStatus.NOT_FLOAT32),
-    "too many": (scan_of_ones(70_000), DetectionStatus.TOO_MANY_POINTS),
+    "too many": (scan_of_ones(98_305), DetectionStatus.TOO_MANY_POINTS),
     "an age of NaN": (scan_of_ones(5, math.nan), DetectionStatus.BAD_AGE),
     "an age without end": (scan_of_ones(5, math.inf), DetectionStatus.BAD_AGE),
 }
