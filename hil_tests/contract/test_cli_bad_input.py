@@ -51,7 +51,8 @@ def test_installed_command_has_no_traceback(tmp_path: Path) -> None:
     run = subprocess.run([RACELOOP, "run", "nowhere.yaml"], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert run.returncode == 2
     assert run.stdout == ""
-    assert run.stderr == "raceloop: nowhere.yaml: no such scenario file; shipped scenarios: short_drive, solo_lap\n"
+    shipped = "shipped scenarios: behind_another_car, phantom, short_drive, solo_lap"
+    assert run.stderr == f"raceloop: nowhere.yaml: no such scenario file; {shipped}\n"
     assert list(tmp_path.iterdir()) == []
 
 

@@ -96,7 +96,8 @@ def test_keys_of_the_summary(run: Run) -> None:
     assert set(run.summary) == {
         "scenario", "profile", "seed", "finished", "configuration", "offences", "simulated_s", "wall_s",
         "wall_with_recording_s", "real_time_factor", "laps_s", "top_speed_kmh", "top_lateral_acceleration_mps2",
-        "distance_m", "tracking", "yaw_error_share_in_band", "cross_track_share_left", "ssm_transitions",
+        "distance_m", "tracking", "yaw_error_share_in_band", "cross_track_share_left", "plans",
+        "plans_behind_a_car", "times_behind_a_car", "ssm_transitions",
         "ct_state_transitions", "sys_state_transitions", "faults", "injected", "executive", "safety", "buses",
         "frames_lost",
         "frame_log_sha256", "folder", "files",

@@ -36,7 +36,8 @@ SEED = int(os.environ.get("RACELOOP_SEED", "20210107"))
 
 #: Read by the onboard computer in ways of their own, which count no codec_rx.
 READ_OTHERWISE = {
-    "node_status", "trajectory_header", "trajectory_pose", "trajectory_motion", "wall_line", "wall_bend",
+    "node_status", "perception_status", "trajectory_header", "trajectory_pose", "trajectory_motion",
+    "wall_line", "wall_bend",
 }  # fmt: skip
 
 #: A frame of a sample that the onboard computer misses by the sample's size, not by its age.

@@ -96,7 +96,7 @@ def test_what_the_firmware_leaves_unread():
         *(f"Tire_Pressure_{wheel}" for wheel in wheels),
         *(f"Tire_Temp_{wheel}_{place}" for wheel in wheels for place in (1, 2, 3, 4)),
         "base_to_car_timing", "marelli_report_2", "mylaps_report_1", "mylaps_report_2",
-        "perception_status", "pt_report_2", "pt_report_3", "rest_of_field", "sensor_notice", "steering_report_extd",
+        "pt_report_2", "pt_report_3", "rest_of_field", "steering_report_extd",
         "wheel_potentiometer_data", "wheel_strain_gauge",
     }  # fmt: skip
 

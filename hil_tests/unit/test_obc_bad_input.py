@@ -53,7 +53,7 @@ def test_every_offence_of_a_thoroughly_bad_file_is_told_without_a_flood() -> Non
     for _ in range(60):
         sent = harness.tick()
         most = max(most, sum(frame.id == RESULT.frame_id for frame in iterate(sent)))
-    assert most <= 4
+    assert most <= 5
     wanted = {(parameter_key(name), lib.PARAMETER_WRONG_TYPE) for name in GOOD}
     wanted |= {(parameter_key(f"no_such_key_{index}"), lib.PARAMETER_UNKNOWN_KEY) for index in range(50)}
     assert set(results(harness)) == wanted
