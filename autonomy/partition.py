@@ -7,7 +7,7 @@ from pathlib import Path
 from autonomy.detection.motion_compensation import AgedCloud
 from autonomy.localisation import Estimate, Localiser, Quality
 from autonomy.messages import EstimateWriter, Inbox, NodeWriter, PlanWriter
-from autonomy.perception import Perception
+from autonomy.perception import Perception, PerceptionConfig
 from autonomy.perception_nodes import PerceptionNodes, own_motion
 from autonomy.planning import Planner
 from autonomy.race_path import RacePath
@@ -22,6 +22,9 @@ from dbc.frames import Buffer
 from dbc.states import SsmState
 
 PLAN_PERIOD_US = 50_000
+
+#: Scans end in the fifth tick of fifty milliseconds, plans are made in the first.
+SLICED = PerceptionConfig(look_us=20_000, follow_us=30_000)
 
 # Reliability of the estimate by its quality level.
 _RELIABILITY = {Quality.LOST: 0.0, Quality.BAD: 0.25, Quality.DEGRADED: 0.6, Quality.GOOD: 1.0}
@@ -57,7 +60,7 @@ class AutonomyPartition:
         #: None in a car without.
         self.perception: PerceptionNodes | None
         try:
-            self.perception = None if perception_map is None else PerceptionNodes(Perception(perception_map))
+            self.perception = None if perception_map is None else PerceptionNodes(Perception(perception_map, SLICED))
         except ValueError as error:
             raise ConfigurationError(track.name, "width", str(error)) from None
         #: The newest; None before the first.

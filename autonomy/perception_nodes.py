@@ -51,6 +51,7 @@ class PerceptionNodes:
         self._nodes = {node: PerceptionStatusWriter(node) for node in (*_DETECTIONS.values(), *_FOLLOWING)}
         self._objects = ObjectWriter()
         self._sequence = dict.fromkeys(Source, 0)
+        self._points = 0  # of the newest scan
         self._good: dict[Source, deque[bool]] = {source: deque(maxlen=_MEMORY) for source in Source}
         self.predictions: list[Prediction] = []
 
@@ -73,7 +74,10 @@ class PerceptionNodes:
         perceived = self._perception.step(now_us, motion, cloud, tracks, None if radar is None else radar.time_us)
         notices = b""
         if cloud is not None:
-            notices += self._notice(Source.LIDAR, perceived, len(cloud), 0)
+            self._points = len(cloud)
+        if perceived.scan_us is not None or (cloud is not None and motion is None):
+            age_us = 0 if perceived.scan_us is None else now_us - perceived.scan_us
+            notices += self._notice(Source.LIDAR, perceived, self._points, age_us)
         if radar is not None:
             notices += self._notice(Source.RADAR, perceived, radar.frames, now_us - radar.time_us)
         objects = b""

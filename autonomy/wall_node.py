@@ -16,8 +16,8 @@ from autonomy.wall_fit import WallFit, fit_wall
 LOW, HIGH = 0.4, 0.9
 #: Tangent, ahead, up to which a wall may be on the other side: on a radius of 230 m, 60 m ahead of a car at it, 0.11.
 ACROSS = 0.15
-#: Points that are enough for a fit, about.
-ENOUGH = 600
+#: Points of a scan to choose from, and those that are enough for a fit; about.
+PLENTY, ENOUGH = 15_000, 600
 #: Three scans: as long without one, and the node says that it fails.
 SILENCE_US = 150_000
 
@@ -71,10 +71,11 @@ class WallNode:
 
     def _slice(self, scan: AgedCloud, motion: OwnMotion | None) -> NDArray[np.float32]:
         """Points of a wall's middle, shape (n, 3) or wider, where they are at the end of the scan."""
-        x, y, high = scan[:, 0], scan[:, 1], scan[:, 2]
+        scan = scan[:: max(1, len(scan) // PLENTY)]
+        high = scan[:, 2]
+        points = scan[(high > LOW) & (high < HIGH)]
         # On the other side an apron may be as high. A wall that bends in front of the car comes over a little.
-        beside = self._side * y > -ACROSS * np.maximum(x, 0.0)
-        points = scan[(high > LOW) & (high < HIGH) & beside]
+        points = points[self._side * points[:, 1] > -ACROSS * np.maximum(points[:, 0], 0.0)]
         points = points[:: max(1, len(points) // ENOUGH)]
         if motion is None or not motion.plausible or not np.isfinite(points[:, 3]).all():
             return points

@@ -23,6 +23,7 @@ uint32_t beam_echo(const beam_pattern *pattern, const rigid_pose *mount, const b
     for (uint32_t column = 0U; column < pattern->columns; column++) {
         const double cos = pattern->azimuth[column][0];
         const double sin = pattern->azimuth[column][1];
+        const float age = (float)(pattern->period * ((double)(pattern->columns - column) - 0.5) / pattern->columns);
         const double ahead[3] = {axes[0] * cos + axes[1] * sin, axes[3] * cos + axes[4] * sin,
                                  axes[6] * cos + axes[7] * sin};
         for (uint32_t line = 0U; line < pattern->lines; line++) {
@@ -40,10 +41,11 @@ uint32_t beam_echo(const beam_pattern *pattern, const rigid_pose *mount, const b
             const double reported = range + detector->noise * detector->quantile[bits % NOISE_QUANTILES];
             const double level = reported * pattern->elevation[line][0];
             const double rise = reported * pattern->elevation[line][1];
-            float *point = &points[3U * (size_t)count];
+            float *point = &points[4U * (size_t)count];
             for (unsigned axis = 0U; axis < 3U; axis++) {
                 point[axis] = (float)(mount->place[axis] + level * ahead[axis] + rise * axes[3U * axis + 2U]);
             }
+            point[3] = age;
             if (beams != NULL) {
                 beams[count] = first_beam + beam;
             }

@@ -26,9 +26,9 @@ typedef struct beam_detector {
  * the mixing function of SplitMix64 (Steele, Lea, Flood 2014).
  * mount: of the LiDAR in the vehicle's frame.
  * key: of this scan; first_beam: number of the LiDAR's first beam, so that several share a key.
- * points: room for columns * lines points, x, y, z each; out: echoes in the axes that the vehicle had when their column
- * was taken, m, in the order of the beams. beams: NULL, or room for as many numbers; out: number of each point's beam.
- * Returns how many there are. */
+ * points: room for columns * lines points of four numbers; out: echoes in the order of the beams, x, y and z in the
+ * axes that the vehicle had when their column was taken, m, and their age at the end of the scan, s. beams: NULL, or
+ * room for as many numbers; out: number of each point's beam. Returns how many there are. */
 uint32_t beam_echo(const beam_pattern *pattern, const rigid_pose *mount, const beam_detector *detector,
                    const beam_hits *hits, uint64_t key, uint32_t first_beam, float *points, uint32_t *beams);
 

@@ -102,19 +102,22 @@ class Scan:
 
     Attributes
     ----------
-    cloud : float32, shape (n, 3), m, in the axes that the vehicle had when each point was taken.
+    aged : points in the axes that the vehicle had when each was taken, with their ages at the end of the scan.
     beam : shape (n,), number of each point's beam: LiDAR after LiDAR, column after column, line after line.
-    age : float32, shape (n,), s, from when each point was taken to the end of the scan.
     """
 
-    cloud: NDArray[np.float32]
+    aged: Cloud
     beam: NDArray[np.uint32]
-    age: NDArray[np.float32]
 
     @property
-    def aged(self) -> Cloud:
-        """Points with their ages, shape (n, 4)."""
-        return np.column_stack((self.cloud, self.age))
+    def cloud(self) -> NDArray[np.float32]:
+        """The points alone, shape (n, 3), m."""
+        return np.ascontiguousarray(self.aged[:, :3])
+
+    @property
+    def age(self) -> NDArray[np.float32]:
+        """The ages alone, shape (n,), s."""
+        return self.aged[:, 3]
 
 
 class SpatialLidar:
@@ -155,11 +158,8 @@ class SpatialLidar:
         noise = {"gain": detection.gain, "noise": detection.range_noise, "quantile": _normal_quantiles()}
         self._detector = ffi.new("beam_detector *", noise)
         self._beams = pattern.columns * pattern.lines
-        self._points = np.empty((len(mounts) * self._beams, 3), np.float32)
+        self._points = np.empty((len(mounts) * self._beams, 4), np.float32)
         self._numbers = np.empty(len(self._points), np.uint32)
-        left = (pattern.columns - np.arange(pattern.columns) - 0.5) / pattern.columns  # of the scan, behind each column
-        age = np.repeat((PERIOD_US * 1e-6 * left).astype(np.float32), pattern.lines)
-        self._ages = np.tile(age, len(mounts))
         self._c_points = ffi.from_buffer("float[]", self._points)
         self._c_numbers = ffi.from_buffer("uint32_t[]", self._numbers)
 
@@ -183,10 +183,9 @@ class SpatialLidar:
             self._cast(mount, natives)
             count += lib.beam_echo(
                 *(self._pattern, mount, self._detector, self._hits, key, number * self._beams),
-                *(self._c_points + 3 * count, self._c_numbers + count),
+                *(self._c_points + 4 * count, self._c_numbers + count),
             )
-        beam = self._numbers[:count].copy()
-        return Scan(self._points[:count].copy(), beam, self._ages[beam])
+        return Scan(self._points[:count].copy(), self._numbers[:count].copy())
 
     def cast(self, vehicle: Motion, cars: Sequence[Motion] = ()) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Where all beams end, without noise or loss.

@@ -58,7 +58,9 @@ class SensorSuite:
             if spatial is None
             else _LidarsOnRoad(spatial, cg_to_rear_axle, generators[3])
         )
-        self.radar = Radar(walls, cg_to_rear_axle, generators[4]) if radar else None
+        # Of a wall with a radius of 230 m, given every metre, chords over four of them are off by 9 mm.
+        coarse = [wall[::4] for wall in walls]
+        self.radar = Radar(coarse, cg_to_rear_axle, generators[4]) if radar else None
 
     def emit(self, now_us: int, truth: Truth, cars: Sequence[OtherCar] = ()) -> bytes:
         """Frames of every sensor that is due, for CAN-S and CAN-R; `cars` are the others."""

@@ -73,7 +73,7 @@ def test_durations_lie_on_either_side_of_the_condition(one: Provocation) -> None
         ("ssm", "est1_front_brake", 10, 1, 2),
         ("ssm", "race_control_lost", 920, 9, 10),
         ("ssm", "executive_late", 50, 40, 50),
-        ("ssm", "lidar_timeout", 110, 2, 3),  # last scan 50 ms before; older than 150 ms from 160 ms behind it on
+        ("ssm", "lidar_frozen", 110, 2, 3),  # last scan 50 ms before; the same for 150 ms from 160 ms behind it on
         ("ssm", "radar_wrong_size", 0, 0, 1),
         ("ssm", "lidar_wrong_size", 0, 1, 2),  # for 100 ms
         ("ssm", "tracking_stalled", 240, 24, 25),

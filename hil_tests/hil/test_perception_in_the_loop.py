@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 import scenarios
-from autonomy.partition import AutonomyPartition
-from autonomy.perception import Perception, PerceptionConfig
+from autonomy.partition import SLICED, AutonomyPartition
+from autonomy.perception import Perception
 from autonomy.perception_nodes import PerceptionNodes
 from autonomy.status import NodeId, NodeStatus
 from autonomy.track import Track
@@ -104,7 +104,7 @@ def without_estimate(scenario: Scenario, road: Road) -> AutonomyPartition:
     """Autonomy whose geofence believes the map."""
     autonomy = make_autonomy(scenario, road)
     assert scenario.perception_map is not None
-    config = PerceptionConfig(estimate_boundary=False)
+    config = replace(SLICED, estimate_boundary=False)
     autonomy.perception = PerceptionNodes(Perception(load_track(scenario.perception_map), config))
     return autonomy
 
@@ -197,7 +197,7 @@ def test_notices_tell_size_and_age(standing: Drive) -> None:
     size, age = (standing.column("sensor_notice", f"sensor_{name}") for name in ("data_size", "sample_age"))
     assert ((sensor == 3).sum(), (sensor == 4).sum()) == (20, 20)
     assert (size[sensor == 3] > 40_000).all()
-    assert (age[sensor == 3] == 0).all()
+    assert (age[sensor == 3] == 20).all()
     assert set(size[sensor == 4]) == {64.0}
     assert age[sensor == 4].max() <= 20.0
     sequence = standing.column("sensor_notice", "sensor_sequence")
