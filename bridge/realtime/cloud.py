@@ -106,7 +106,7 @@ class CloudSender(_End):
 
     def send(self, now_us: int, cloud: Cloud) -> None:
         """Send the scan of a slot: shape (n, k), a point per row; at most 92160 points of four values."""
-        if cloud.size > lib.CLOUD_RING_VALUES_MAX:
+        if self._map.closed or cloud.size > lib.CLOUD_RING_VALUES_MAX:
             self.lost += 1
             return
         values = ffi.from_buffer("float[]", np.ascontiguousarray(cloud, np.float32))
@@ -139,6 +139,8 @@ class CloudReceiver(_End):
         Those before it are gone. It has the shape with which it was sent.
         """
         found = self._found
+        if self._map.closed:
+            return None
         for _ in range(_ATTEMPTS):
             if not lib.cloud_ring_find(self._ring, now_us, found) or now_us - found.time_us >= PERIOD_US:
                 return None

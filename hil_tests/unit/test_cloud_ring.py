@@ -100,6 +100,19 @@ def test_a_scan_that_is_too_large_is_lost_and_the_one_before_it_is_there(ends):
     assert np.array_equal(receiver.newest(0), scan(1.0))
 
 
+def test_an_end_that_has_let_go_is_of_no_use_and_no_harm(ends):
+    sender, receiver = ends
+    sender.send(0, scan(1.0))
+    receiver.close()
+    assert receiver.newest(0) is None
+    sender.close()
+    before = sender.lost
+    sender.send(PERIOD_US, scan(2.0))
+    assert sender.lost == before + 1
+    sender.close()
+    receiver.close()
+
+
 def test_what_is_a_period_old_is_gone(ends):
     sender, receiver = ends
     sender.send(1000, scan(1.0))
