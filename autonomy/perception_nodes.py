@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections import deque
 
+import numpy as np
+
 from autonomy.detection.cloud import Pose
 from autonomy.detection.motion_compensation import AgedCloud
 from autonomy.detection.radar import OwnMotion
@@ -74,7 +76,7 @@ class PerceptionNodes:
         perceived = self._perception.step(now_us, motion, cloud, tracks, None if radar is None else radar.time_us)
         notices = b""
         if cloud is not None:
-            self._points = len(cloud)
+            self._points = len(cloud) if isinstance(cloud, np.ndarray) and cloud.ndim else 0
         if perceived.scan_us is not None or (cloud is not None and motion is None):
             age_us = 0 if perceived.scan_us is None else now_us - perceived.scan_us
             notices += self._notice(Source.LIDAR, perceived, self._points, age_us)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from autonomy.detection.motion_compensation import AgedCloud, MotionCompensation
+from autonomy.detection.cloud import DetectionStatus
+from autonomy.detection.motion_compensation import AgedCloud, MotionCompensation, check_scan
 from autonomy.detection.radar import OwnMotion
 from autonomy.messages import NodeWriter, WallWriter
 from autonomy.status import NodeId, NodeStatus
@@ -56,7 +57,7 @@ class WallNode:
         """
         frames = b""
         if cloud is not None:
-            self._fit = fit = fit_wall(self._slice(cloud, motion), self._side, self._fit)
+            self._fit = fit = self._look(cloud, motion)
             self._scan_us = now_us
             self._status.heartbeat += 1
             self._reliability = 0.0 if fit is None else fit.share
@@ -68,6 +69,12 @@ class WallNode:
             self._status.frame(NodeStatus.ERROR if silent else NodeStatus.OK, 0.0 if silent else self._reliability)
             + frames
         )
+
+    def _look(self, scan: AgedCloud, motion: OwnMotion | None) -> WallFit | None:
+        """The wall of a scan; of what is no scan there is none."""
+        if check_scan(scan) not in (DetectionStatus.OK, DetectionStatus.BAD_AGE):
+            return None
+        return fit_wall(self._slice(scan, motion), self._side, self._fit)
 
     def _slice(self, scan: AgedCloud, motion: OwnMotion | None) -> NDArray[np.float32]:
         """Points of a wall's middle, shape (n, 3) or wider, where they are at the end of the scan."""

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,10 +19,12 @@ from autonomy.status import NodeId, NodeStatus
 from autonomy.track import Track
 from autonomy.track_files import load_track
 from bridge.bench import Bench
-from bridge.faults import Drop, Fault, LidarFrozen, LidarNotFinite, LidarSilent
+from bridge.faults import CloudFault, Drop, Fault, LidarFrozen, LidarNotFinite, LidarSilent
+from bridge.faults.fault import Memory
 from bridge.interfaces import Road
 from bridge.saved_state import SavedState
 from bridge.scenario import Scenario, load_scenario
+from bridge.sensors.lidar import Cloud
 from dbc.codec import database
 from dbc.frames import FRAME_DTYPE, Bus
 from tools.run import build_bench, load_road, make_autonomy
@@ -174,6 +177,43 @@ def test_a_sensor_that_fails_is_told(standing: Drive, fault: Fault, failed: dict
     for _ in range(15):
         standing.tick()
     assert statuses(standing) == WELL | failed
+    injection.cancel()
+    for _ in range(12):
+        standing.tick()
+    assert statuses(standing) == WELL
+
+
+@dataclass(frozen=True, kw_only=True)
+class Instead(CloudFault):
+    """Something else comes in place of scans."""
+
+    comes: Any
+
+    def scan(self, cloud: Cloud, memory: Memory) -> Any:  # noqa: ARG002
+        return self.comes
+
+
+NO_SCANS = {
+    "no points": np.empty((0, 4), np.float32),
+    "no ages": np.ones((10, 3), np.float32),
+    "one row": np.ones(4, np.float32),
+    "one number": np.float32(1.0),
+    "other numbers": np.ones((10, 4)),
+    "ages without end": np.full((10, 4), np.inf, np.float32),
+    "too many": np.ones((200_000, 4), np.float32),
+    "a text": "cloud",
+}
+
+
+@pytest.mark.parametrize("comes", NO_SCANS.values(), ids=NO_SCANS)
+def test_what_is_no_scan_is_the_failure_of_its_detection_and_of_nothing_else(standing: Drive, comes: object) -> None:
+    injection = standing.bench.inject(Instead(comes=comes))
+    for _ in range(25):
+        standing.tick()
+    assert injection.count == 5
+    assert statuses(standing) == WELL | {NodeId.LIDAR_DETECTION: ERROR}
+    wall = standing.column("node_status", "node_id") == NodeId.WALL
+    assert set(standing.column("node_status", "node_status_code")[wall]) == {OK}
     injection.cancel()
     for _ in range(12):
         standing.tick()
