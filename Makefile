@@ -69,13 +69,22 @@ matrix: build ## Run the whole reaction matrix: every fault by operating state a
 	$(BIN)/python -m pytest -q -n 2 --dist loadgroup -m matrix --reactions '$(OUT)/reactions' hil_tests/hil/test_reaction_matrix.py
 
 .PHONY: bench
-bench: build ## Measure this loop side by side with the plain loop a user would write
+bench: build ## Measure this loop beside the plain loop a user would write, and each part of perception beside its peers
 	$(BIN)/raceloop bench
+	$(MAKE) --no-print-directory perception-bench
+
+.PHONY: perception-bench
+perception-bench: detection-bench lidar-bench ## Measure LiDAR model, detection, tracking and estimation beside their peers
+	$(BIN)/python -m tools.tracking_bench
+	$(BIN)/python -m tools.estimation_bench
+
+$(VENV)/.peers: pyproject.toml | $(VENV)/.dependencies
+	$(BIN)/python -c 'import tomllib; p = tomllib.load(open("pyproject.toml", "rb"))["project"]["optional-dependencies"]; print(*p["bench"], *p["peers"], sep="\n")' > $(VENV)/peers.txt
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -r $(VENV)/peers.txt
+	@touch $@
 
 .PHONY: detection-bench
-detection-bench: build ## Measure LiDAR detection beside numpy, scipy and scikit-learn on the same scans
-	$(BIN)/python -c 'import tomllib; print(*tomllib.load(open("pyproject.toml", "rb"))["project"]["optional-dependencies"]["bench"], sep="\n")' > $(VENV)/bench-requirements.txt
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -r $(VENV)/bench-requirements.txt
+detection-bench: build $(VENV)/.peers ## Measure LiDAR detection beside numpy, scipy and scikit-learn on the same scans
 	$(BIN)/python -m tools.detection_bench
 
 .PHONY: lidar-bench
