@@ -56,7 +56,7 @@ class AutonomyPartition:
         self._plan_writer = PlanWriter()
         self._estimation = NodeWriter(NodeId.ESTIMATION)
         self._planning = NodeWriter(NodeId.PLANNING)
-        self._wall = WallNode(track)
+        self._wall = WallNode(track, spatial=perception_map is not None)
         #: None in a car without.
         self.perception: PerceptionNodes | None
         try:

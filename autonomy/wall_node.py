@@ -6,19 +6,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from autonomy.detection.cloud import DetectionStatus
+from autonomy.detection.ground_filter import GroundFilter
 from autonomy.detection.motion_compensation import AgedCloud, MotionCompensation, check_scan
 from autonomy.detection.radar import OwnMotion
 from autonomy.messages import NodeWriter, WallWriter
 from autonomy.status import NodeId, NodeStatus
 from autonomy.track import Track
-from autonomy.wall_fit import WallFit, fit_wall
+from autonomy.wall_fit import AHEAD, BEHIND, WallFit, fit_wall
 
-#: m over the road, between which points count: the middle of a wall of 1.1 m, and of the planar LiDARs' slice.
-LOW, HIGH = 0.4, 0.9
 #: Tangent, ahead, up to which a wall may be on the other side: on a radius of 230 m, 60 m ahead of a car at it, 0.11.
 ACROSS = 0.15
-#: Points of a scan to choose from, and those that are enough for a fit; about.
-PLENTY, ENOUGH = 15_000, 600
+#: m, by which points may come nearer while the car's motion is taken out of them.
+MARGIN = 5.0
+#: Points that are enough for a fit, about.
+ENOUGH = 600
 #: Three scans: as long without one, and the node says that it fails.
 SILENCE_US = 150_000
 
@@ -26,15 +27,19 @@ SILENCE_US = 150_000
 class WallNode:
     """Fits the outer wall to every scan. It needs neither an estimate nor GNSS.
 
-    Of a scan it takes the points at the height of a wall's middle. Where an estimate says how the car moves, and be it
-    the last one before GNSS was lost, the motion within the scan is taken out.
+    Of a spatial scan it takes what stands out of the ground on the wall's side. A height over the vehicle's plane would
+    not do: a banked turn rises by 0.7 m in it, 30 m ahead. Where an estimate says how the car moves, and be it the last
+    one before GNSS was lost, the motion within the scan is taken out.
 
     Parameters
     ----------
     track : tells the side on which the wall stands: the outer one.
+    spatial : whether scans have heights; those of planar LiDARs are walls alone.
     """
 
-    def __init__(self, track: Track) -> None:
+    def __init__(self, track: Track, spatial: bool = False) -> None:
+        self._spatial = spatial
+        self._ground_filter = GroundFilter()
         self._side = -1 if track.centre.turn > 0.0 else 1
         self._compensation = MotionCompensation()
         self._writer = WallWriter()
@@ -74,16 +79,19 @@ class WallNode:
         """The wall of a scan; of what is no scan there is none."""
         if check_scan(scan) not in (DetectionStatus.OK, DetectionStatus.BAD_AGE):
             return None
-        return fit_wall(self._slice(scan, motion), self._side, self._fit)
+        return fit_wall(self._beside(scan, motion), self._side, self._fit)
 
-    def _slice(self, scan: AgedCloud, motion: OwnMotion | None) -> NDArray[np.float32]:
-        """Points of a wall's middle, shape (n, 3) or wider, where they are at the end of the scan."""
-        scan = scan[:: max(1, len(scan) // PLENTY)]
-        high = scan[:, 2]
-        points = scan[(high > LOW) & (high < HIGH)]
-        # On the other side an apron may be as high. A wall that bends in front of the car comes over a little.
-        points = points[self._side * points[:, 1] > -ACROSS * np.maximum(points[:, 0], 0.0)]
-        points = points[:: max(1, len(points) // ENOUGH)]
+    def _beside(self, scan: AgedCloud, motion: OwnMotion | None) -> NDArray[np.float32]:
+        """Points that may be of the wall, where they are at the end of the scan; shape (n, 3) or wider."""
+        if not self._spatial:
+            return scan
+        x = scan[:, 0]
+        # On the other side an apron may stand out. A wall that bends in front of the car comes over a little.
+        near = (x > BEHIND - MARGIN) & (x < AHEAD + MARGIN) & (self._side * scan[:, 1] > -ACROSS * np.maximum(x, 0.0))
+        points = scan[near]
         if motion is None or not motion.plausible or not np.isfinite(points[:, 3]).all():
-            return points
-        return self._compensation.cloud(points, motion.vx, motion.vy, motion.yaw_rate)
+            cloud = np.ascontiguousarray(points[:, :3])
+        else:
+            cloud = self._compensation.cloud(points, motion.vx, motion.vy, motion.yaw_rate)
+        raised, _ = self._ground_filter.apply(cloud)
+        return raised[:: max(1, len(raised) // ENOUGH)]

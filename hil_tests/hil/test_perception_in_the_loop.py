@@ -18,8 +18,9 @@ from autonomy.perception_nodes import PerceptionNodes
 from autonomy.status import NodeId, NodeStatus
 from autonomy.track import Track
 from autonomy.track_files import load_track
+from bridge._native import lib
 from bridge.bench import Bench
-from bridge.faults import CloudFault, Drop, Fault, LidarFrozen, LidarNotFinite, LidarSilent
+from bridge.faults import CloudFault, Drop, Fault, LidarFrozen, LidarNotFinite, LidarSilent, SensorOutage
 from bridge.faults.fault import Memory
 from bridge.interfaces import Road
 from bridge.saved_state import SavedState
@@ -27,6 +28,7 @@ from bridge.scenario import Scenario, load_scenario
 from bridge.sensors.lidar import Cloud
 from dbc.codec import database
 from dbc.frames import FRAME_DTYPE, Bus
+from tools.reactions.states import SEEING, OperatingStates
 from tools.run import build_bench, load_road, make_autonomy
 
 BEHIND = load_scenario(scenarios.DIRECTORY / "behind_another_car.yaml")
@@ -93,6 +95,31 @@ def test_a_slower_car_is_followed_and_not_touched() -> None:
     assert own[close].min() < 36.0, "and has slowed down with the other one"
     assert own[-1] > 55.0, "and drives on"
     assert braking < 10.0
+
+
+@pytest.mark.parametrize("state", ["straight", "turn"])
+def test_the_emergency_stop_goes_by_the_wall_in_spatial_scans(driven: OperatingStates, state: str) -> None:
+    """At 227 km/h both receivers are lost: the car stops on the track, by the wall and not by a full brake."""
+    bench = driven.at(state)
+    assert bench.truth.vx > 62.0
+    for sensor in ("gnss_a", "gnss_b"):
+        bench.inject(SensorOutage(sensor=sensor))
+    lateral, states = [], set()
+    while bench.truth.vx > 0.1 and len(lateral) < 1500:
+        bench.tick()
+        lateral.append(bench.surroundings.road.project(bench.truth.x, bench.truth.y)[1])
+        states.add(int(bench.obc.ssm_output.state))
+    assert bench.truth.vx <= 0.1
+    assert np.abs(lateral).max() < 6.4, "with both wheels inside of 7.45 m"
+    assert states <= {lib.SSM_NOMINAL, lib.SSM_DEGRADED, lib.SSM_EMERGENCY}
+    assert lib.SSM_EMERGENCY in states
+
+
+@pytest.fixture(scope="module")
+def driven() -> Iterator[OperatingStates]:
+    states = OperatingStates(SEEING)
+    yield states
+    states.close()
 
 
 @pytest.fixture
