@@ -76,11 +76,11 @@ class Tally:
         return cls(tally.kept, tally.removed, tally.far, tally.not_finite)
 
 
-def check_cloud(value: object) -> DetectionStatus:
-    """Whether something is a cloud that the filters take: OK, EMPTY, or what is wrong with it."""
+def check_cloud(value: object, columns: int = 3) -> DetectionStatus:
+    """Whether something is a cloud that the filters take, of rows so long: OK, EMPTY, or what is wrong with it."""
     if not isinstance(value, np.ndarray) or value.dtype != np.float32:
         return DetectionStatus.NOT_FLOAT32
-    if value.ndim != 2 or value.shape[1] != 3:
+    if value.ndim != 2 or value.shape[1] != columns:
         return DetectionStatus.BAD_SHAPE
     if len(value) > POINTS_MAX:
         return DetectionStatus.TOO_MANY_POINTS

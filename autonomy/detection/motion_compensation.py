@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from autonomy._native import ffi, lib
-from autonomy.detection.cloud import POINTS_MAX, Cloud, DetectionStatus
+from autonomy.detection.cloud import Cloud, DetectionStatus, check_cloud
 from autonomy.detection.road_objects import RoadObjects
 from autonomy.vehicle import CG_TO_REAR_AXLE
 
@@ -22,15 +22,10 @@ AgedCloud: TypeAlias = NDArray[np.float32]
 
 def check_scan(value: object) -> DetectionStatus:
     """Whether something is a scan of points with ages: OK, EMPTY, or what is wrong with it."""
-    if not isinstance(value, np.ndarray) or value.dtype != np.float32:
-        return DetectionStatus.NOT_FLOAT32
-    if value.ndim != 2 or value.shape[1] != 4:
-        return DetectionStatus.BAD_SHAPE
-    if len(value) > POINTS_MAX:
-        return DetectionStatus.TOO_MANY_POINTS
-    if not len(value):
-        return DetectionStatus.EMPTY
-    return DetectionStatus.OK if np.isfinite(value[:, 3]).all() else DetectionStatus.BAD_AGE
+    status = check_cloud(value, columns=4)
+    if status is DetectionStatus.OK and not np.isfinite(np.asarray(value)[:, 3]).all():
+        return DetectionStatus.BAD_AGE
+    return status
 
 
 @dataclass(frozen=True)
